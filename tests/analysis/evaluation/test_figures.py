@@ -17,6 +17,7 @@ from faultline.analysis.evaluation.report.document import Evaluation, evaluation
 from faultline.analysis.evaluation.report.figures import bundles, operating_points, overlaid, prediction
 from faultline.analysis.evaluation.report.figures.axes import Pair, reference
 from faultline.analysis.evaluation.report.figures.page import page
+from faultline.analysis.evaluation.report.histograms import NARROWEST
 from faultline.analysis.evaluation.story import tell
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.errors import InputError
@@ -61,6 +62,7 @@ def test_a_faulty_residual_lies_over_that_of_the_same_cycle(drawn: list[Pair], e
     assert compared is not None
     assert compared.recording == "same"
     [(figure, alt, _)] = overlaid.residuals(e, drawn)
+    assert figure.get_size_inches()[0] >= NARROWEST  # the page widens what is narrower, and its height with it
     first, second = figure.axes
     free, faulty = lines(first)
     scale = e.tests[0].shown(e.tests[0].rms or 0.0).size

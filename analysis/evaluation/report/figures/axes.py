@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from faultline.analysis.evaluation.measure.facts import Facts
+from faultline.analysis.evaluation.report.histograms import NARROWEST
 from faultline.analysis.evaluation.story import Array, Story
 from faultline.service.bundle.load import Bundle
 from faultline.service.core.signals.values import Mask
@@ -51,6 +52,7 @@ def grid(rows: int, columns: int, *, width: float, height: float) -> tuple[Figur
     Margins are given, as a layout that is found takes as long as all else together.
     """
     left, right, top, bottom, apart = 0.85, 0.1, 0.55, 0.5, 0.6
+    width = max(width, (NARROWEST - left - right) / columns)
     wide, high = left + right + width * columns, top + bottom + height * rows
     figure = Figure(figsize=(wide, high))
     axes = figure.subplots(rows, columns, squeeze=False)
