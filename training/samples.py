@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from faultline.analysis.calibration.provenance import check_id, check_vehicle
 from faultline.analysis.model import Model
-from faultline.analysis.recordings.observe import Blind, open_for, ticks_of, trusted
+from faultline.analysis.recordings.observe import Blind, open_for, ticks_of
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Input
 from faultline.service.core.residuals.observer import Tick
@@ -76,10 +76,10 @@ def load_samples(
         if vehicle is not None:
             check_vehicle(log, path, vehicle, f"{recordings[0]}")
         vehicle = log.recording.vehicle if log.recording else vehicle
-        received, _ = trusted(log, units, str(path))
+        table = log.table(units, str(path))
         found: list[Stretch] = []
         count = 0
-        for start in starts(received):
+        for start in starts(log.signals(table)):
             count += 1
             ticks = ticks_of(model, inputs, start, Blind())
             found += [Stretch(log.id, z, begin_s, start.natural) for begin_s, z in _stretches(ticks, inputs)]
