@@ -12,7 +12,7 @@ from faultline.analysis.recordings.modes import modes_of
 from faultline.service.core.manifest import Input, Manifest
 from faultline.service.core.residuals.generators import FRESH, Generators, Residuals
 from faultline.service.core.residuals.observer import Observer, Tick
-from faultline.service.core.signals.arrivals import jitter
+from faultline.service.core.signals.arrivals import known_jitter
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.received import Signals
@@ -84,7 +84,7 @@ def jitters(signals: Signals, table: DecodeTable) -> dict[str, float]:
     for piece in signals.pieces(judged=False) if periods else ():
         for name in periods.keys() & piece.columns.keys():
             times[name].append(piece.time[piece.columns[name].row])
-    found = {name: jitter(np.concatenate(of), periods[name]) for name, of in times.items() if of}
+    found = {name: known_jitter(np.concatenate(of), periods[name]) for name, of in times.items() if of}
     return {name: each for name, each in found.items() if each > 0.0}
 
 

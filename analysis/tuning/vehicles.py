@@ -24,6 +24,7 @@ from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen, edge_last,
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Input
 from faultline.service.core.residuals.observer import Tick
+from faultline.service.core.signals.arrivals import MARGIN
 
 Array = npt.NDArray[np.float64]
 
@@ -86,6 +87,11 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
             check_vehicle(log, path, runnable.networks.description.vehicle, "the training of the networks")
         progress.say(log.id)
         signals, jitter_s = trusted(log, units, str(path))
+        for signal, early_s in jitter_s.items():
+            progress.note(
+                f"{path}: frames with {signal} come up to {early_s / MARGIN:.2g} s too soon; the vehicle will bear "
+                f"{early_s:.2g} s, within which a second sender of them is counted only"
+            )
         tracks.append(tracks_of(signals, units))
         ticks = ticks_of(model, runnable.bank.inputs, signals, runnable.fresh())
         inputs = limited(runnable.bank.inputs, signals, model.residuals, jitter_s)

@@ -47,7 +47,7 @@ def _verdict(e: Evaluation) -> str:
 
 
 def origin(e: Evaluation) -> str:
-    """What was judged, and on which recordings."""
+    """Return what was judged, and on which recordings."""
     sources = ", ".join(dict.fromkeys(one.source for one in e.recordings))
     vehicles = ", ".join(dict.fromkeys(one.vehicle for one in e.recordings))
     hours = sum(one.fault_free_hours + one.faulty_hours for one in e.recordings)

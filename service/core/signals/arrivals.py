@@ -7,8 +7,8 @@ largest sum of recent delays, a CUSUM of the intervals dt against the period T t
     early:  s < -max(EARLY T, JITTER_S, jitter)
 
 at the speed of a replay tau and JITTER_S are as many times as long in log time. `jitter` is what drives without a
-second sender have shown of the message, where that is more (`jitter`): one that comes up to its period too soon cannot
-be judged by when it comes, and is counted only.
+second sender have shown of the message, where that is more (`known_jitter`): one that comes up to its period too soon
+cannot be judged by when it comes, and is counted only.
 
 A frame that is early is either a second sender's or follows one that was. Which of the two is forged nobody knows, so
 both are doubted (`core.signals.sampling`). Small delays count for nothing: a sender whose period is up to a quarter
@@ -78,11 +78,6 @@ class Arrivals:
         self.jitter_s = 0.0
 
     @property
-    def period_s(self) -> float:
-        """The period that the DBC says [s]."""
-        return self._period
-
-    @property
     def _early(self) -> float:
         """How far the backlog may be below zero [s]."""
         return max(EARLY * self._period, JITTER_S * self.speed, self.jitter_s)
@@ -132,7 +127,7 @@ class Arrivals:
         return is_due, is_early
 
 
-def jitter(t: FloatArray, period_s: float) -> float:
+def known_jitter(t: FloatArray, period_s: float) -> float:
     """Return by how much frames of one sender that came at times `t` (K,) [s] are known to come too soon [s].
 
     0 where a frame that is early by less than the rule bears was the earliest, or where more frames came than the

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from made_set import BUNDLE, Made, clogged
 from made_story import GOLDEN, IDLE, MAXIMUM, PARTIAL, bundle, known, story
+from matplotlib.axes import Axes
 
 from faultline.analysis.evaluation.command import main
 from faultline.analysis.evaluation.given import learnt_from
@@ -51,9 +52,9 @@ def e(drawn: list[Pair]) -> Evaluation:
     return evaluation(bundle(), [one for _, one in drawn])
 
 
-def lines(axes: object) -> list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
+def lines(axes: Axes) -> list[np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
     """The y of what is drawn over time."""
-    return [np.asarray(each.get_ydata()) for each in axes.lines if len(each.get_ydata()) > 2]  # type: ignore[attr-defined]
+    return [np.asarray(each.get_ydata()) for each in axes.lines if np.size(each.get_ydata()) > 2]
 
 
 def test_a_faulty_residual_lies_over_that_of_the_same_cycle(drawn: list[Pair], e: Evaluation) -> None:

@@ -1,4 +1,4 @@
-"""What the figures share: colours, grids of axes, lines over time, and names of generators and cases."""
+"""Figures share colours, grids of axes, lines over time, and the fault-free recording that they compare with."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -19,13 +19,12 @@ MEASURED, PREDICTED, FREE, FAULTY = "#1f4e79", "#d55e00", "#0072b2", "#d55e00"
 OTHERS = ("#009e73", "#cc79a7", "#7a5c00", "#56b4e9", "#7f7f7f")
 SENSITIVE = "#e4e6e9"
 ROWS = 10
-"""Of a picture: what is more goes into another one."""
+"""A picture has so many rows at most; what is more goes into another one."""
 
 Drawn = tuple[Figure, str, str]
 """A figure, what it says to who cannot see it, and its caption."""
 
 Part = TypeVar("Part")
-
 
 Pair = tuple[Story, Facts]
 """A recording that is drawn: all that happened inside, and what is counted of it."""

@@ -68,7 +68,7 @@ def draw(e: Evaluation, drawn: Sequence[Pair], beside: Mapping[str, Sequence[Sto
 
 
 def _differs(story: Story, row: int, told: Story) -> bool:
-    """Whether another bundle has the generator, and predicts something else: equations may be the same in both."""
+    """Return whether another bundle has the generator and predicts something else: equations may be the same."""
     column = _row(told, story.bundle.manifest.generators[row].name)
     if column is None:
         return False

@@ -1,4 +1,4 @@
-"""Where in the space of its signals a system was when it was learnt, and when it was judged (thesis fig. 6.15)."""
+"""Operating points: each pair of signals when the system was learnt, and when it was judged (thesis fig. 6.15)."""
 
 from collections.abc import Iterator, Sequence
 

@@ -28,7 +28,7 @@ from faultline.service.core.signals.values import Mask
 ACROSS = 5
 """Recordings of a picture: what is more goes into another one."""
 BEYOND = 2.2
-"""Where a detector leaves its axes, in parts of its threshold: sums end at 2."""
+"""Axes end there, in parts of a detector's threshold; its sums end at 2."""
 GREY = "grey: the test is sensitive to the fault by structure"
 
 

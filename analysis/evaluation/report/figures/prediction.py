@@ -38,7 +38,7 @@ def over_cycle(e: Evaluation, drawn: Sequence[Pair]) -> Iterator[Drawn]:
             for (left, right), row in zip(axes, some, strict=True):
                 _measured(left, e, story, row)
                 _residual(right, e, story, row, FREE)
-                left.set_ylabel(f"{_name(e, row)}\n{left.get_ylabel()}", fontsize=7)
+                left.set_ylabel(f"{e.tests[row].generator}\n{left.get_ylabel()}", fontsize=7)
             _titles(axes, "measured (blue) and predicted (orange)", "residual: measured less predicted")
             names = ", ".join(e.tests[row].generator for row in some)
             alt = f"Measured, predicted and residual of {names} over {one.verdict.recording}, without a fault."
@@ -65,7 +65,7 @@ def most_moved(e: Evaluation, drawn: Sequence[Pair]) -> Iterator[Drawn]:
                     _residual(right, e, free, row, FREE)
                 _residual(right, e, story, row, FAULTY)
                 right.set_xlim(story.t_s[0], story.t_s[-1])
-                left.set_ylabel(f"{one.case.label}\n{_name(e, row)} {left.get_ylabel()}", fontsize=7)
+                left.set_ylabel(f"{one.case.label}\n{e.tests[row].generator} {left.get_ylabel()}", fontsize=7)
                 for panel in (left, right):
                     begins(panel, one)
             _titles(axes, "measured (blue) and predicted (orange)", "residual: with the fault (orange), without (blue)")
@@ -84,10 +84,9 @@ def _most_moved(e: Evaluation, pair: Pair, rows: Sequence[int]) -> int | None:
     known = [*e.faults]
     sees = [row for row in rows if sensitive(e.tests[row], one.case.faults, known) is not False]
     after = story.t_s >= (one.verdict.onset_s or 0.0)
-    means = [abs(np.mean(story.standardised[after & story.usable[:, row], row])) for row in sees if
-             (after & story.usable[:, row]).any()]  # fmt: skip
-    told = [row for row in sees if (after & story.usable[:, row]).any()]
-    return told[int(np.argmax(means))] if told else None
+    told = {row: after & story.usable[:, row] for row in sees}
+    means = {row: abs(np.mean(story.standardised[ticks, row])) for row, ticks in told.items() if ticks.any()}
+    return max(means, key=lambda row: float(means[row]), default=None)
 
 
 def _measured(axes: Axes, e: Evaluation, story: Story, row: int) -> None:
@@ -105,10 +104,6 @@ def _residual(axes: Axes, e: Evaluation, story: Story, row: int, colour: str) ->
     fit(axes)
     axes.axhline(0.0, color="#444444", linewidth=0.5)
     axes.set_ylabel(f"[{shown.unit}]", fontsize=7)
-
-
-def _name(e: Evaluation, row: int) -> str:
-    return e.tests[row].generator
 
 
 def _titles(axes: np.ndarray[tuple[int, int], np.dtype[np.object_]], left: str, right: str) -> None:
