@@ -12,8 +12,8 @@ from faultline.analysis.calibration.command import main as calibrate
 from faultline.analysis.model import load_model
 from faultline.training.recipe import DEFAULT
 
-BESIDE = 1.6
-"""1.35 until steps of the pressures were held back: they are no evidence, and there the equations erred most."""
+BESIDE = 1.3
+"""More than this many times the equations' error, and `tune` leaves a network out."""
 
 DISTINCT = ("t02", "t06", "t08", "t12", "t13")
 
@@ -24,9 +24,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_networks_are_nearer_than_the_equations_where_these_integrate(folder: Path) -> None:
-    """As the campaign has it: also where another controller drives; within the band.
+    """Nearer in another cycle, within the band; where another controller drives, none that `tune` would leave out.
 
-    Limits leave room for what another processor's rounding makes of a training: the campaign's seeds differ by as much.
+    Another processor's rounding is worth another seed of a training: three seeds give t12 1.09, 1.17 and 1.25 there.
     """
     torch.set_num_threads(1)
     case = Case("bench", None, 0)
@@ -36,7 +36,7 @@ def test_networks_are_nearer_than_the_equations_where_these_integrate(folder: Pa
     networks, _, _ = trained(model, training, DEFAULT, 0, tests=DISTINCT)
     assert len(networks.graph) < 1.5e6
     drive = made(case, "drive", folder, 3, 480.0), 0.9
-    slow = made(case, "validation", folder, 2, 480.0, SLOW), 1.1
+    slow = made(case, "validation", folder, 2, 480.0, SLOW), BESIDE
     for recording, hard in (drive, slow):
         for test, told in judged(model, networks, recording).items():
             limit = hard if test in HARD else BESIDE
