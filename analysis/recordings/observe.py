@@ -10,6 +10,7 @@ from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import Model
 from faultline.analysis.recordings.modes import modes_of
 from faultline.service.core.manifest import Input, Manifest
+from faultline.service.core.residuals.evaluator import TickByTick
 from faultline.service.core.residuals.generators import FRESH, Generators, Residuals
 from faultline.service.core.residuals.observer import Observer, Tick
 from faultline.service.core.signals.arrivals import known_jitter
@@ -102,14 +103,14 @@ def ticks_of(model: Model, inputs: Sequence[Input], signals: Signals, generators
     """The same with any generators."""
     modes = ModeTracker(modes_of(model), inputs, model.period_s)
     start_s = start_within_s(model)
-    return _ticks(Observer(NO_FRAMES, Sampler(inputs), modes, generators, model.period_s, start_s), signals)
+    return _ticks(Observer(NO_FRAMES, Sampler(inputs), TickByTick(generators, modes), model.period_s, start_s), signals)
 
 
 def samples_of(manifest: Manifest, signals: Signals) -> list[Tick]:
     """Every tick of a log as a bundle takes its samples and modes, without running its generators."""
     modes = ModeTracker(manifest.modes, manifest.inputs, manifest.period_s)
     sampler, period_s, start_within_s = Sampler(manifest.inputs), manifest.period_s, manifest.start_within_s
-    return _ticks(Observer(NO_FRAMES, sampler, modes, Blind(), period_s, start_within_s), signals)
+    return _ticks(Observer(NO_FRAMES, sampler, TickByTick(Blind(), modes), period_s, start_within_s), signals)
 
 
 def _ticks(observer: Observer, signals: Signals) -> list[Tick]:

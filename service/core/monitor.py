@@ -12,6 +12,7 @@ from faultline.service.core.decision.relearning import Relearning
 from faultline.service.core.decision.telling import Teller
 from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Event
+from faultline.service.core.residuals.evaluator import Evaluator, TickByTick
 from faultline.service.core.residuals.generators import GeneratorBank
 from faultline.service.core.residuals.observer import Observer, Tick
 from faultline.service.core.signals.decode import DecodeTable
@@ -31,18 +32,19 @@ class Monitor:
     def __init__(
         self,
         manifest: Manifest,
-        bank: GeneratorBank,
+        bank: GeneratorBank | Evaluator,
         table: DecodeTable,
         source: str,
         bundle_id: str,
         watch: Callable[[Tick, Decision], None] | None = None,
     ) -> None:
         self._sampler = Sampler(manifest.inputs)
+        modes = ModeTracker(manifest.modes, manifest.inputs, manifest.period_s)
+        evaluator = TickByTick(bank, modes) if isinstance(bank, GeneratorBank) else bank
         self._observer = Observer(
             table,
             self._sampler,
-            ModeTracker(manifest.modes, manifest.inputs, manifest.period_s),
-            bank,
+            evaluator,
             manifest.period_s,
             manifest.start_within_s,
         )

@@ -17,17 +17,13 @@ import onnxruntime as ort
 
 from faultline.service.core.manifest import Evidence, Generator, Input
 from faultline.service.core.residuals.assumed import Assumed
+from faultline.service.core.residuals.table import table_of
 from faultline.service.core.signals.gate import SAMPLES, Gate
-from faultline.service.core.signals.regions import Regions
 from faultline.service.core.signals.values import FloatArray, Indices, Mask
-from faultline.service.core.time_scale import ticks_of
 
 HELD_TICKS = 2
 OUTSIDE = 0.01
 """How far inputs may lie outside their operating region, in parts of its width: a hundredth is rounding."""
-
-STALE = 0.3
-"""A sample older than this part of its `maximum_age_s`, of five periods, stands for one or more that were lost."""
 
 MOST_DOUBTFUL = 2 * SAMPLES
 """Ticks that are computed again at most: a step is known after half of `SAMPLES`, and others may overlap with it."""
@@ -117,31 +113,17 @@ class GeneratorBank:
         evidence: Evidence | None = None,
     ) -> None:
         self._parts = _parts(graphs, generators)
-        names = [channel.signal for channel in inputs]
-        lower, upper = (np.array([getattr(channel, bound) for channel in inputs]) for bound in ("lower", "upper"))
-        self._lower, self._upper, self._width = lower, upper, upper - lower
-        self._neutral = (lower + upper) / 2
-        states = [(row, state) for row, generator in enumerate(generators) for state in generator.states]
-        self._owner = np.array([row for row, _ in states], dtype=np.intp)  # (nx,)
-        self._offset = np.array([state.offset for _, state in states])
-        self._gain = np.zeros((len(states), len(names)))
-        self._needs = np.zeros((len(generators), len(names)), dtype=np.bool_)
-        for column, (_, state) in enumerate(states):
-            for signal, gain in state.gain.items():
-                self._gain[column, names.index(signal)] = gain
-        for row, generator in enumerate(generators):
-            self._needs[row, [names.index(signal) for signal in generator.inputs]] = True
-        self._warm_up = np.array([ticks_of(generator.warm_up_s, period_s) for generator in generators])
-        self._x = np.zeros(len(states))
-        self._z = self._neutral.copy()
+        self._of = table_of(generators, inputs, period_s, evidence)
+        self._x = np.zeros(len(self._of.owner))
+        self._z = (self._of.lower + self._of.upper) / 2
         self._gate = Gate(inputs)
-        self._stale = STALE * np.array([channel.maximum_age_s for channel in inputs])
         self._missed = np.full(len(generators), HELD_TICKS + 1)
         self._ticks = np.zeros(len(generators), dtype=np.int64)
-        consequences = [] if evidence is None else evidence.consequences
-        self._consequences = Regions([each.where for each in consequences], inputs)
-        self._since_shown = np.full(len(consequences), self._warm_up.max() + 1)
-        self._weighed, self._own, self._assumed = _assumed(graphs, generators, evidence, self._owner)
+        self._since_shown = np.full(len(self._of.consequences), self._of.warm_up.max() + 1)
+        self._assumed: Assumed | None = None
+        if evidence is not None and evidence.graph is not None:
+            hypotheses = Graph(graphs[evidence.graph])
+            self._assumed = Assumed(hypotheses, len(evidence.hypotheses), self._of.own_owner)
         self._doubtful: list[tuple[FloatArray, FloatArray, Mask]] = []
         self._before = self._state()
 
@@ -154,7 +136,7 @@ class GeneratorBank:
         passed = self._gate.passed(z, usable)
         self._reconsider(z, passed, usable)
         found = self._advance(passed, usable)
-        held = np.asarray((self._needs & (self._gate.held | (ages > self._stale))).any(axis=1))
+        held = np.asarray((self._of.needs & (self._gate.held | (ages > self._of.stale))).any(axis=1))
         return found._replace(held=held)
 
     def _reconsider(self, z: FloatArray, passed: FloatArray, usable: Mask) -> None:
@@ -174,21 +156,21 @@ class GeneratorBank:
     def _advance(self, z: FloatArray, usable: Mask) -> Residuals:
         """Advance by one tick with these samples."""
         self._z = np.where(usable, z, self._z)
-        fed = (usable | ~self._needs).all(axis=1)  # (T,)
-        fresh = self._offset + self._gain @ self._z
+        fed = (usable | ~self._of.needs).all(axis=1)  # (T,)
+        fresh = self._of.offset + self._of.gain @ self._z
         self._restart(fed & (self._missed > HELD_TICKS), fresh)
         r, y_hat, sigma, x_next = self._run()
         finite = np.isfinite(r) & np.isfinite(sigma)
-        finite[self._owner[~np.isfinite(x_next)]] = False
+        finite[self._of.owner[~np.isfinite(x_next)]] = False
         advanced = fed & finite & (self._outside() <= OUTSIDE)
-        self._x = np.where(advanced[self._owner], x_next, self._x)
+        self._x = np.where(advanced[self._of.owner], x_next, self._x)
         self._missed = np.where(advanced, 0, self._missed + 1)
         self._missed[fed & ~finite] = HELD_TICKS + 1
         self._ticks = np.where(advanced, self._ticks + 1, self._ticks)
         shift = NOTHING
         if self._assumed is not None:
-            shift = self._assumed.step(self._z, fresh[self._own], r[self._weighed], advanced[self._weighed])
-        told = advanced & (self._ticks > self._warm_up)
+            shift = self._assumed.step(self._z, fresh[self._of.own], r[self._of.weighed], advanced[self._of.weighed])
+        told = advanced & (self._ticks > self._of.warm_up)
         return Residuals(r, y_hat, sigma, told, shift, self._brought())
 
     def _state(self) -> tuple[FloatArray, FloatArray, Indices, Indices, Indices, FloatArray]:
@@ -203,9 +185,9 @@ class GeneratorBank:
 
     def _brought(self) -> Mask:
         """The consequences that show, or did so lately that states of the generators remember it."""
-        shows = self._consequences.holding(self._z)
+        shows = self._of.consequences.holding(self._z)
         self._since_shown = np.where(shows, 0, self._since_shown + 1)
-        return np.asarray(self._since_shown <= self._warm_up.max())
+        return np.asarray(self._since_shown <= self._of.warm_up.max())
 
     def _run(self) -> list[FloatArray]:
         """The outputs of all graphs, one after the other."""
@@ -217,16 +199,17 @@ class GeneratorBank:
 
     def _outside(self) -> FloatArray:
         """Return how far the inputs of each generator lie outside the region, in parts of its width, summed (T,)."""
-        beyond = np.maximum(self._lower - self._z, self._z - self._upper) / self._width
-        return np.asarray(self._needs @ np.maximum(beyond, 0.0))
+        of = self._of
+        beyond = np.maximum(of.lower - self._z, self._z - of.upper) / (of.upper - of.lower)
+        return np.asarray(self._of.needs @ np.maximum(beyond, 0.0))
 
     def _restart(self, generators: Mask, fresh: FloatArray) -> None:
         """Takes the states of these generators (T,) from the sensors and starts their warm-up anew."""
         if generators.any():
-            self._x = np.where(generators[self._owner], fresh, self._x)
+            self._x = np.where(generators[self._of.owner], fresh, self._x)
             self._ticks = np.where(generators, 0, self._ticks)
             if self._assumed is not None:
-                self._assumed.restart(generators[self._weighed], fresh[self._own])
+                self._assumed.restart(generators[self._of.weighed], fresh[self._of.own])
 
 
 def _parts(graphs: Mapping[str, bytes], generators: Sequence[Generator]) -> list[_Part]:
@@ -236,17 +219,3 @@ def _parts(graphs: Mapping[str, bytes], generators: Sequence[Generator]) -> list
         counts = [len(generator.states) for generator in generators]
         found.append(_Part(Graph(graphs[name]), slice(sum(counts[: own[0]]), sum(counts[: own[-1] + 1]))))
     return found
-
-
-def _assumed(
-    graphs: Mapping[str, bytes], generators: Sequence[Generator], evidence: Evidence | None, owner: Indices
-) -> tuple[Indices, Indices, Assumed | None]:
-    """The rows (K,) of the evidence generators, the columns (nx,) of their states, and their hypotheses."""
-    if evidence is None or evidence.graph is None:
-        nothing = np.zeros(0, dtype=np.intp)
-        return nothing, nothing, None
-    names = [generator.name for generator in generators]
-    rows = np.array([names.index(name) for name in evidence.generators])
-    own = np.concatenate([np.flatnonzero(owner == row) for row in rows])
-    columns = np.repeat(np.arange(len(rows)), [len(generators[row].states) for row in rows])
-    return rows, own, Assumed(Graph(graphs[evidence.graph]), len(evidence.hypotheses), columns)

@@ -12,9 +12,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from faultline.service.core.residuals.generators import Generators, Residuals
+from faultline.service.core.residuals.evaluator import Evaluator
+from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.holding import Samples
-from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.received import Received
 from faultline.service.core.signals.sampling import Sampler
 from faultline.service.core.signals.values import FloatArray, Mask, Qualities, Quality, are_good
@@ -66,15 +66,13 @@ class Observer:
         self,
         table: Decoder,
         sampler: Sampler,
-        modes: ModeTracker,
-        bank: Generators,
+        evaluator: Evaluator,
         period_s: float,
         start_within_s: float,
     ) -> None:
         self._table = table
         self._sampler = sampler
-        self._modes = modes
-        self._bank = bank
+        self._evaluator = evaluator
         self._period = period_s
         self._start_within = start_within_s
         self._first: float | None = None  # log time of the first frame
@@ -112,10 +110,10 @@ class Observer:
             self._origin = self._due = samples.complete_s + PHASE_S
         doubts = deque(samples.doubts)
         while len(dues := self._dues(received.last_s)):
-            for due, z, quality, ages in zip(dues.tolist(), *samples.at(dues), samples.ages(dues), strict=True):
-                while doubts and doubts[0].t <= due:
+            for tick in self._ticks(dues, *samples.at(dues), samples.ages(dues)):
+                while doubts and doubts[0].t <= tick.t_s:
                     self._sampler.note_doubt(*doubts.popleft()[1:])
-                yield self._tick(due, z, quality, ages)
+                yield tick
         for doubt in doubts:
             self._sampler.note_doubt(*doubt[1:])
         self._now = received.last_s
@@ -155,15 +153,17 @@ class Observer:
     def _run(self, t: float, including: bool) -> list[Tick]:
         ticks: list[Tick] = []
         while self._due < t or (including and self._due == t):
-            ticks.append(self._tick(self._due, *self._sampler.sample(self._due), self._sampler.ages(self._due)))
+            z, quality = self._sampler.sample(self._due)
+            ticks += self._ticks(np.array([self._due]), z[None], quality[None], self._sampler.ages(self._due)[None])
         return ticks
 
-    def _tick(self, due: float, z: FloatArray, quality: Qualities, ages: FloatArray) -> Tick:
+    def _ticks(self, dues: FloatArray, z: FloatArray, quality: Qualities, ages: FloatArray) -> Iterator[Tick]:
+        """The ticks at `dues` (n,) [s], of samples, qualities and ages (n, nz)."""
         if self._origin is None:
-            self._origin = due
-        usable = are_good(quality)
-        residuals = self._bank.step(z, usable, ages)
-        tick = Tick(self._number, due, z, quality, self._modes.update(z, usable), residuals, ages)
-        self._number += 1
-        self._due = self._origin + self._number * self._period
-        return tick
+            self._origin = float(dues[0])
+        evaluated = self._evaluator.evaluate(z, are_good(quality), ages)
+        for k, (due, (mode, residuals)) in enumerate(zip(dues.tolist(), evaluated, strict=True)):
+            tick = Tick(self._number, due, z[k], quality[k], mode, residuals, ages[k])
+            self._number += 1
+            self._due = self._origin + self._number * self._period
+            yield tick

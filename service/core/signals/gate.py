@@ -27,18 +27,20 @@ BACK = 3.0
 class Gate:
     """The gate of the inputs with an `outlier` distance. State: their last samples, and the last one that passed.
 
+    The inputs' `columns` (G,) and distances `least` (G,) say which those are.
+
     `held` (nz,) are the signals whose sample is held back. `stepped` (nz,) are those that have been and now pass,
     without having come back: the sample is not `BACK` times nearer to the one that stood for them than to the last.
     Of them those have `jumped` (nz,) that lie further than the `outlier` distance from what stood for them.
     """
 
     def __init__(self, inputs: Sequence[Input]) -> None:
-        self._columns = np.array([k for k, each in enumerate(inputs) if each.outlier is not None], dtype=np.intp)
-        self._least = np.array([each.outlier for each in inputs if each.outlier is not None])
-        self._last = np.zeros((SAMPLES, len(self._columns)))
-        self._passed = np.zeros(len(self._columns))
-        self._refused = np.zeros(len(self._columns))
-        self._seen = np.zeros(len(self._columns), dtype=np.intp)
+        self.columns = np.array([k for k, each in enumerate(inputs) if each.outlier is not None], dtype=np.intp)
+        self.least = np.array([each.outlier for each in inputs if each.outlier is not None])
+        self._last = np.zeros((SAMPLES, len(self.columns)))
+        self._passed = np.zeros(len(self.columns))
+        self._refused = np.zeros(len(self.columns))
+        self._seen = np.zeros(len(self.columns), dtype=np.intp)
         self.held = np.zeros(len(inputs), dtype=np.bool_)
         self.stepped = np.zeros(len(inputs), dtype=np.bool_)
         self.jumped = np.zeros(len(inputs), dtype=np.bool_)
@@ -48,26 +50,26 @@ class Gate:
 
         Those not `usable` (nz,) are no samples. The first `SAMPLES` of a signal pass.
         """
-        if not len(self._columns):
+        if not len(self.columns):
             return z
-        now, good = z[self._columns], usable[self._columns]
+        now, good = z[self.columns], usable[self.columns]
         last = self._last
         last[np.where(good, self._seen % SAMPLES, 0), np.arange(len(now))] = np.where(good, now, last[0])
         self._seen += good
         middle = np.sort(last, axis=0)[SAMPLES // 2]
         spread = np.sort(np.abs(last - middle), axis=0)[SAMPLES // 2]
-        is_far = np.abs(now - middle) > np.maximum(FAR * spread, self._least)
+        is_far = np.abs(now - middle) > np.maximum(FAR * spread, self.least)
         outlier = good & (self._seen > SAMPLES) & is_far
-        before, passes = self.held[self._columns], good & ~outlier
+        before, passes = self.held[self.columns], good & ~outlier
         by = np.abs(now - self._passed)
         stepped = before & passes & (np.abs(now - self._refused) < BACK * by)
-        self.stepped[self._columns] = stepped
-        self.jumped[self._columns] = stepped & (by > self._least)
-        self.held[self._columns] = outlier
+        self.stepped[self.columns] = stepped
+        self.jumped[self.columns] = stepped & (by > self.least)
+        self.held[self.columns] = outlier
         self._passed = np.where(passes, now, self._passed)
         self._refused = np.where(outlier, now, self._refused)
         if not outlier.any():
             return z
         z = z.copy()
-        z[self._columns[outlier]] = self._passed[outlier]
+        z[self.columns[outlier]] = self._passed[outlier]
         return z

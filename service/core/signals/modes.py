@@ -25,19 +25,21 @@ STEP = 0.25
 class ModeTracker:
     """Follows the mode. State: good values of the inputs for as long as a step may take, the ticks since an edge.
 
-    An outlier is no step (`core.signals.gate`), and what lasts after it was held back is one.
+    An outlier is no step (`core.signals.gate`), and what lasts after it was held back is one. `limit` (nz,) are the
+    steps that make an edge, `regions` those of the modes, tried in the `order`; an edge lasts `settle` ticks, and
+    `last` (n, nz) are the values before.
     """
 
     def __init__(self, modes: Modes, inputs: Sequence[Input], period_s: float, part: float = STEP) -> None:
         names = [channel.signal for channel in inputs]
-        self._limit = np.array([modes.edges.get(name, np.inf) for name in names])
-        self._regions = Regions([mode.where for mode in modes.steady], inputs)
+        self.limit = np.array([modes.edges.get(name, np.inf) for name in names])
+        self.regions = Regions([mode.where for mode in modes.steady], inputs)
         bounded = [bool(mode.where) for mode in modes.steady]
-        self._order = sorted(range(len(bounded)), key=lambda row: not bounded[row])  # the one without bounds is last
+        self.order = sorted(range(len(bounded)), key=lambda row: not bounded[row])  # the one without bounds is last
         self._gate = Gate(inputs)
-        self._steps = np.isfinite(self._limit)
-        self._settle = ticks_of(modes.settle_s, period_s)
-        self._last = np.full((max(1, round(part * modes.settle_s / period_s)), len(names)), np.nan)
+        self._steps = np.isfinite(self.limit)
+        self.settle = ticks_of(modes.settle_s, period_s)
+        self.last = np.full((max(1, round(part * modes.settle_s / period_s)), len(names)), np.nan)
         self._now = 0
         self._since_edge = 0
 
@@ -48,13 +50,13 @@ class ModeTracker:
         """
         z = self._gate.passed(z, usable)
         with np.errstate(invalid="ignore"):
-            moved = (np.abs(z - self._last) > self._limit).any(axis=0)
-        holds = self._regions.holding(z)
-        known = bool(usable[self._regions.needed].all())
+            moved = (np.abs(z - self.last) > self.limit).any(axis=0)
+        holds = self.regions.holding(z)
+        known = bool(usable[self.regions.needed].all())
         is_edge = bool((moved & usable).any() or self._gate.jumped[self._steps].any())
         self._since_edge = 0 if is_edge or not known else self._since_edge + 1
-        last, self._now = self._last[self._now], (self._now + 1) % len(self._last)
-        self._last[slice(None) if is_edge else self._now] = np.where(usable, z, last)  # what was before it is over
-        if self._since_edge < self._settle or not known:
+        last, self._now = self.last[self._now], (self._now + 1) % len(self.last)
+        self.last[slice(None) if is_edge else self._now] = np.where(usable, z, last)  # what was before it is over
+        if self._since_edge < self.settle or not known:
             return EDGE
-        return 1 + next(row for row in self._order if holds[row])
+        return 1 + next(row for row in self.order if holds[row])

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from faultline.service.core.j1939.identifiers import PRIORITY_MASK, SOURCE_MASK
 from faultline.service.core.manifest import Bounds, Input, Mode, Modes
+from faultline.service.core.residuals.evaluator import TickByTick
 from faultline.service.core.residuals.generators import FRESH, Residuals
 from faultline.service.core.residuals.observer import Observer, Tick
 from faultline.service.core.signals.columns import CanSignals
@@ -179,7 +180,7 @@ def observer(case: Case) -> tuple[DecodeTable, Sampler, Observer]:
     first = case.inputs[0].signal
     steady = [Mode(name="low", where={first: Bounds(below=0.1)}), Mode(name="rest")]
     modes = Modes(steady=steady, edges={first: 0.1}, settle_s=0.4)
-    return table, sampler, Observer(table, sampler, ModeTracker(modes, case.inputs, 0.2), Blind(), 0.2, 1.0)
+    return table, sampler, Observer(table, sampler, TickByTick(Blind(), ModeTracker(modes, case.inputs, 0.2)), 0.2, 1.0)
 
 
 def pieces(case: Case) -> list[Batch]:

@@ -7,6 +7,7 @@ import numpy as np
 
 from faultline.service.bundle.load import load_bundle
 from faultline.service.core.j1939.log_context import LogContext
+from faultline.service.core.residuals.evaluator import TickByTick
 from faultline.service.core.residuals.generators import FRESH, Residuals
 from faultline.service.core.residuals.observer import Observer
 from faultline.service.core.signals.modes import ModeTracker
@@ -44,7 +45,7 @@ def peak_bytes(path: Path) -> tuple[int, int]:
     bundle = load_bundle(GOLDEN / "bundle")
     manifest = bundle.manifest
     modes = ModeTracker(manifest.modes, manifest.inputs, manifest.period_s)
-    observer = Observer(bundle.table, Sampler(manifest.inputs), modes, Quiet(), manifest.period_s, 5.0)
+    observer = Observer(bundle.table, Sampler(manifest.inputs), TickByTick(Quiet(), modes), manifest.period_s, 5.0)
     tracemalloc.start()
     log = open_log(path)
     signals = log.signals(bundle.table, LogContext(log.id).passing)

@@ -1,0 +1,64 @@
+"""Functions of a bundle's graphs, compiled once and kept: the next process that needs them only loads them.
+
+They are kept in `faultline/compiled` of the user's cache (XDG_CACHE_HOME), by the digest of their text. The folder may
+be deleted.
+"""
+
+import hashlib
+import os
+import sys
+from collections.abc import Callable
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+from typing import NamedTuple
+
+from faultline.analysis.compiled.elements import NotCompiledError, program_of
+from faultline.analysis.compiled.source import HEAD, NO_HYPOTHESES, hypotheses_text, table_of, tests_text
+from faultline.service.core.signals.values import FloatArray
+from faultline.writing import write_file
+
+MOST_SCALARS = 20_000
+"""Of a graph: more take minutes to compile, as those of networks would."""
+
+Function = Callable[..., None]
+
+
+class Kernels(NamedTuple):
+    """The functions of both graphs, and what differs between the hypotheses (columns, H)."""
+
+    tests: Function
+    hypotheses: Function
+    table: FloatArray
+
+
+def kernels_of(tests: bytes, hypotheses: bytes | None, rows: int) -> Kernels:
+    """Return the functions of the tests' graph, and of that of the hypotheses, which has so many rows.
+
+    Raises:
+        NotCompiledError: a graph cannot be compiled.
+        OSError: the user's cache cannot be written.
+    """
+    programs = [program_of(tests, 1), *([] if hypotheses is None else [program_of(hypotheses, rows)])]
+    if (scalars := max(len(program.nodes) for program in programs)) > MOST_SCALARS:
+        raise NotCompiledError(f"a graph of {scalars} scalars would take minutes to compile")
+    of_tests, *others = programs
+    module = _module(
+        "".join([HEAD, tests_text(of_tests), *(map(hypotheses_text, others) if others else [NO_HYPOTHESES])])
+    )
+    return Kernels(module.tests, module.hypotheses, table_of(others[0] if others else None, rows))
+
+
+def _module(text: str) -> ModuleType:
+    """The module of this text, with its compiled functions beside it."""
+    name = "faultline_graphs_" + hashlib.sha256(text.encode()).hexdigest()[:16]
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    path = Path(base) / "faultline" / "compiled" / f"{name}.py"
+    if not path.exists():
+        write_file(path, text)
+    spec = spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = sys.modules[name] = module_from_spec(spec)  # Numba finds what it has kept by the module's name
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,141 @@
+"""Graphs as scalars: every operator as ONNX Runtime computes it, and what is needless left out."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import onnx
+import onnxruntime as ort
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from faultline.analysis.compiled.elements import NotCompiledError, program_of
+from faultline.analysis.compiled.kernels import kernels_of
+from faultline.service.core.residuals.graph_file import OPERATORS
+
+ROWS, COLUMNS = 7, 4
+Constants = dict[str, npt.NDArray[np.float64] | npt.NDArray[np.int64]]
+OUTPUTS = ("r", "y_hat", "sigma", "x_next")
+RNG = np.random.default_rng(1)
+
+
+def graph(nodes: Sequence[onnx.NodeProto], constants: Constants, kind: int = TensorProto.DOUBLE) -> bytes:
+    """A graph of z and x (B, COLUMNS) with four outputs (B, COLUMNS), of which the nodes compute `r`."""
+    given = [helper.make_tensor_value_info(name, kind, ["B", COLUMNS]) for name in ("z", "x")]
+    made = [helper.make_tensor_value_info(name, kind, ["B", COLUMNS]) for name in OUTPUTS]
+    others = [helper.make_node("Identity", ["x"], [name]) for name in OUTPUTS[1:]]
+    tensors = [numpy_helper.from_array(value, name) for name, value in constants.items()]
+    model = helper.make_model(helper.make_graph([*nodes, *others], "g", given, made, tensors))
+    model.opset_import[0].version, model.ir_version = 21, 10
+    return bytes(model.SerializeToString())
+
+
+def node(kind: str, *names: str, axis: int | None = None) -> onnx.NodeProto:
+    made = helper.make_node(kind, list(names[:-1]), [names[-1]])
+    if axis is not None:
+        made.attribute.append(helper.make_attribute("axis", axis))
+    return made
+
+
+ELEMENTWISE = [
+    node("Abs", "z", "a"),
+    node("Sqrt", "a", "b"),
+    node("Log", "a", "c"),
+    node("Tanh", "z", "d"),
+    node("Relu", "z", "e"),
+    node("Exp", "d", "f"),
+    node("Reciprocal", "f", "g"),
+    node("Add", "b", "c", "h"),
+    node("Sub", "h", "d", "i"),
+    node("Mul", "i", "e", "j"),
+    node("Div", "j", "f", "k"),
+    node("Max", "k", "x", "l"),
+    node("Add", "l", "g", "r"),
+]
+SHAPES: Constants = {
+    "row": np.array([-1, 1, COLUMNS]),
+    "flat": np.array([-1, COLUMNS]),
+    **{name: np.array([value]) for name, value in (("one", 1), ("two", 2), ("end", 9))},
+    "sparse": np.where(RNG.random((ROWS, COLUMNS, COLUMNS)) < 0.5, 0.0, RNG.normal(size=(ROWS, COLUMNS, COLUMNS))),
+    "offset": RNG.normal(size=(1, COLUMNS)),
+}
+MATRICES = [
+    node("Reshape", "z", "row", "a"),
+    node("MatMul", "a", "sparse", "b"),
+    node("Slice", "b", "one", "end", "two", "c"),
+    node("Slice", "b", "zero", "one", "two", "d"),
+    node("Concat", "c", "d", "e", axis=2),
+    node("Reshape", "e", "flat", "f"),
+    node("Shape", "f", "g"),
+    node("Expand", "offset", "g", "h"),
+    node("Add", "f", "h", "i"),
+    node("Sub", "i", "x", "r"),
+]
+SHAPES["zero"] = np.array([0])
+
+
+def of_runtime(raw: bytes, z: npt.NDArray[np.float64], x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    session = ort.InferenceSession(raw, providers=["CPUExecutionProvider"])
+    return np.asarray(session.run(["r"], {"z": z, "x": x})[0])
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+
+def test_element_by_element() -> None:
+    raw = graph(ELEMENTWISE, {})
+    z, x = RNG.normal(size=COLUMNS), RNG.normal(size=COLUMNS)
+    out = [np.zeros(COLUMNS) for _ in OUTPUTS]
+    kernels_of(raw, None, 0).tests(z, x, *out)
+    np.testing.assert_allclose(out[0], of_runtime(raw, z[None], x[None])[0], rtol=1e-14)
+    np.testing.assert_array_equal(out[3], x)
+
+
+def test_rows_with_constants_of_their_own() -> None:
+    raw = graph(MATRICES, SHAPES)
+    z, x = RNG.normal(size=COLUMNS), RNG.normal(size=(COLUMNS, ROWS))
+    r, x_next = np.zeros((COLUMNS, ROWS)), np.zeros((COLUMNS, ROWS))
+    kernels = kernels_of(graph(ELEMENTWISE, {}), raw, ROWS)
+    kernels.hypotheses(z, x, kernels.table, r, x_next)
+    expected = of_runtime(raw, np.tile(z, (ROWS, 1)), np.ascontiguousarray(x.T))
+    np.testing.assert_allclose(r.T, expected, rtol=1e-13, atol=1e-15)
+
+
+def test_zeros_and_ones_of_a_matrix_cost_nothing() -> None:
+    chosen = np.zeros((COLUMNS, COLUMNS))
+    chosen[0, 1] = chosen[2, 3] = 1.0
+    program = program_of(graph([node("MatMul", "z", "chosen", "r")], {"chosen": chosen}), 1)
+    assert {each.operator for each in program.nodes} == {"constant", "input"}
+    assert [program.nodes[index].value for index in program.outputs["r"]] == [0.0, ("z", 0), 0.0, ("z", 2)]
+
+
+def test_the_same_operation_is_there_once() -> None:
+    twice = [node("Mul", "z", "x", "a"), node("Mul", "z", "x", "b"), node("Add", "a", "b", "r")]
+    program = program_of(graph(twice, {}), 1)
+    assert sum(each.operator == "mul" for each in program.nodes) == COLUMNS
+
+
+def test_what_is_compiled_is_what_bundles_may_have_but_for_networks() -> None:
+    assert OPERATORS - {each.op_type for each in (*ELEMENTWISE, *MATRICES)} == {
+        *("Cast", "Gather", "Identity", "ReduceMean", "ReduceMin", "ReduceSum"),
+    }
+
+
+def test_networks_are_refused() -> None:
+    with pytest.raises(NotCompiledError, match="input z is not float64"):
+        program_of(graph([node("Relu", "z", "r")], {}, TensorProto.FLOAT), 1)
+    with pytest.raises(NotCompiledError, match="operator Gather is not compiled"):
+        program_of(graph([node("Gather", "z", "k", "r", axis=1)], {"k": np.arange(COLUMNS)}), 1)
+
+
+def test_a_second_process_only_loads(tmp_path: Path) -> None:
+    raw = graph(ELEMENTWISE, {})
+    first = kernels_of(raw, None, 0)
+    assert [path.suffix for path in (tmp_path / "faultline" / "compiled").iterdir() if path.is_file()] == [".py"]
+    del sys.modules[first.tests.__module__]
+    again = kernels_of(raw, None, 0)
+    assert again.tests.stats.cache_hits  # type: ignore[attr-defined]
