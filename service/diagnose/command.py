@@ -2,19 +2,19 @@
 
 import argparse
 import sys
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from contextlib import ExitStack
 from math import inf
 from pathlib import Path
 
 from faultline.options import Parser, add_channels, add_senders, channels_of, senders_of
 from faultline.service.bundle.load import Bundle, load_with_log
-from faultline.service.core.decision.decision import Decision
 from faultline.service.core.errors import InputError
 from faultline.service.core.j1939.log_context import LogContext
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.context import Context
 from faultline.service.core.records.line import encode
+from faultline.service.core.verdict import Verdict, second_senders
 from faultline.service.diagnose.tick_table import TickTable, events_path, tick_table
 from faultline.service.logs import Log
 from faultline.service.watching.records import describe, describe_context, meanings
@@ -101,39 +101,32 @@ def _diagnose(path: Path, log: Log, bundle: Bundle, options: argparse.Namespace,
         out.begin(log.id, str(path))
     watch = out.add if out is not None else None
     monitor = Monitor(bundle.manifest, bundle.bank(), bundle.table, log.id, bundle.id, watch)
-    found, blind = _printed(monitor, log, bundle, options.json, out)
+    verdict = _printed(monitor, log, bundle, options.json, out)
+    found = verdict.found(monitor.decision)
     if not (found or accepted):
         raise InputError(
             f"{path}: damaged, so no alarm is no all-clear: {log.report.summary()}; give a whole log, or accept "
             "with --partial what was read"
         )
-    second = _second_senders(bundle)
-    if not found:
-        if second:
-            raise InputError(f"{path}: {second}, so no alarm is no all-clear; give a log without them")
-        _check_conclusive(monitor.decision, blind, bundle, path)
-    for remark in ("" if accepted else log.report.summary(), second, *bundle.table.remarks()):
+    if not found and (why := verdict.why_open(monitor.decision, bundle.table)):
+        raise InputError(f"{path}: {why}")
+    for remark in ("" if accepted else log.report.summary(), second_senders(bundle.table), *bundle.table.remarks()):
         if remark:
             print(f"faultline diagnose: {path}: {remark}", file=sys.stderr)
-    verdict = "a fault was found" if found else "no fault: every test could tell at some time, and none alarms"
+    said = "a fault was found" if found else "no fault: every test could tell at some time, and none alarms"
     loss = ", as far as the damaged log could be read" if log.report.damaged else ""
-    print(f"from {log.report.span}{loss}: {verdict}", file=sys.stderr if options.json else sys.stdout)
+    print(f"from {log.report.span}{loss}: {said}", file=sys.stderr if options.json else sys.stdout)
     return found
 
 
-def _printed(monitor: Monitor, log: Log, bundle: Bundle, as_json: bool, out: TickTable | None) -> tuple[bool, set[str]]:
-    """Print the events; return whether there was a fault, not a withdrawn one, and the tests that never could tell."""
+def _printed(monitor: Monitor, log: Log, bundle: Bundle, as_json: bool, out: TickTable | None) -> Verdict:
+    """Print the events; return the verdict, in which what was decided last may be missing."""
     faults, equations = meanings(bundle.manifest)
-    found = stands = False
-    blind = {generator.test for generator in bundle.manifest.generators}
+    verdict = Verdict(bundle.manifest)
     context = LogContext(log.id, log.channels)
     for event in monitor.signals(log.signals(bundle.table, context.passing)):
         _print_context(context.until((monitor.origin_s or 0.0) + event.t_s, monitor.origin_s), as_json)
-        if event.diagnoses:
-            stands = True
-        elif event.transition in ("healed", "withdrawn"):  # the latter was no fault: its samples are doubted
-            found, stands = found or (stands and event.transition == "healed"), False
-        blind &= set(event.cannot_tell)
+        verdict.add(event)
         if out is not None:
             out.add_event(event)
         if as_json:
@@ -144,7 +137,7 @@ def _printed(monitor: Monitor, log: Log, bundle: Bundle, as_json: bool, out: Tic
     sys.stdout.flush()
     if losses := context.losses():
         print(f"faultline diagnose: {losses}", file=sys.stderr)
-    return found or stands or bool(monitor.decision.diagnoses), blind  # a log may end before what is decided is told
+    return verdict
 
 
 def _print_context(records: Iterable[Context], as_json: bool) -> None:
@@ -153,37 +146,3 @@ def _print_context(records: Iterable[Context], as_json: bool) -> None:
             sys.stdout.buffer.write(encode(record))
         else:
             print(describe_context(record))
-
-
-def _second_senders(bundle: Bundle) -> str:
-    """Return the messages of which frames came far too early for one sender, or from several; "" if there are none."""
-    early = ", ".join(f"{count} of {name}" for name, count in bundle.table.rejected.early.items())
-    found = bundle.table.strangers() if bundle.table.rejected.unclear else []
-    if early:
-        why = "a second one, or two buses; they are not believed"
-        found.insert(0, f"frames came far too early for one sender ({early}): {why}")
-    return "; ".join(found)
-
-
-def _check_conclusive(decision: Decision, blind: Collection[str], bundle: Bundle, path: Path) -> None:
-    """Raise InputError if a log without a fault does not show that there is none; `blind` tests never could tell.
-
-    Raises:
-        InputError: some test could never tell, or the log ends in a suspicion.
-    """
-    if blind:
-        signals = ", ".join(channel.signal for channel in bundle.manifest.inputs)
-        strangers = "".join(f"; {text}" for text in bundle.table.strangers())
-        raise InputError(
-            f"{path}: {' '.join(sorted(blind))} could never tell, so no alarm is no all-clear; "
-            f"give a longer log that has {signals}, within their operating ranges{strangers}"
-        )
-    if decision.suspected:
-        raise InputError(
-            f"{path}: ends while something is suspected and not yet confirmed or dismissed; give a longer log"
-        )
-    if decision.alarm:
-        raise InputError(
-            f"{path}: ends while {' '.join(decision.alarm)} alarms, which is taken for the drive's "
-            "baseline: no fault was confirmed, and none is ruled out; record another drive"
-        )
