@@ -105,6 +105,16 @@ def load_with_log(
     log = open_log(path, channel, buses)
     bundle = load_bundle(folder, senders={**log.senders, **senders}, signals=log.signals_of_dbc)
     verify_golden(bundle)
+    check_fits(bundle, log, folder, path, buses)
+    return bundle, log
+
+
+def check_fits(bundle: Bundle, log: Log, folder: Path, path: Path, buses: Mapping[str, str] = NO_BUSES) -> None:
+    """Check that the bundle of `folder` can diagnose the log at `path`; `buses` are as in `load_with_log`.
+
+    Raises:
+        InputError: they do not fit together.
+    """
     log.check_signals(bundle.table.units)
     log.check_channels(bundle.table.carries)
     for bus in buses:
@@ -115,7 +125,6 @@ def load_with_log(
     log.check_dbc(bundle.dbc_sha256)
     if log.recording is not None:
         log.recording.check_sensors(path, bundle.manifest.sensor_set, f"the bundle {folder}")
-    return bundle, log
 
 
 def bundle_of(

@@ -98,6 +98,7 @@ ROWS = {
         ),
     ),
     "faults": Row("list --control {in}/control"),
+    "fleet": Row("--help"),
     "install": Row(
         "--dry-run --prefix /opt/faultline --base /usr",
         (Writes("--root {out} --prefix /opt/faultline --base /usr", "etc/faultline/old"),),

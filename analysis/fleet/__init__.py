@@ -1,0 +1,1 @@
+"""Many vehicles: the same commands over folders of recordings, on the cores of a machine or of a cluster."""

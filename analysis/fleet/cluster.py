@@ -1,0 +1,93 @@
+"""Work on a Dask cluster: processes of this machine by default, those of a scheduler at its address.
+
+A worker that dies takes nothing with it that was done, as each piece of work is on the disk when it ends; another one
+does again what it was at.
+"""
+
+import gc
+import logging
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+from distributed import Client, KilledWorker, LocalCluster, as_completed
+
+from faultline.service.core.errors import InputError
+
+ANSWERS_S = 10.0
+"""A scheduler, within so much time."""
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+Piece = TypeVar("Piece")
+Result = TypeVar("Result")
+
+
+@contextmanager
+def cluster(scheduler: str | None, processes: int | None) -> Iterator[Client]:
+    """A client of the scheduler at an address, or of so many processes of this machine: one a core, if None.
+
+    Raises:
+        InputError: there are no processes, or no scheduler answers.
+    """
+    if scheduler is None:
+        cores = len(os.sched_getaffinity(0)) if processes is None else processes
+        if cores < 1:
+            raise InputError(f"--processes {cores}: nobody would work; give at least 1")
+        for name in THREADS:  # matrices are small: two processes are faster than two threads
+            os.environ.setdefault(name, "1")
+        own = {"n_workers": cores, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
+        with LocalCluster(**own, memory_limit=0, silence_logs=logging.ERROR) as local, Client(local) as client:  # type: ignore[no-untyped-call]
+            yield client
+        return
+    refused = None
+    try:
+        client = Client(scheduler, timeout=ANSWERS_S)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        refused = str(error)
+    if refused is not None:
+        gc.collect()  # ends the client that failed; ended while another one starts, the two wait for each other
+        raise InputError(f"{scheduler}: no Dask scheduler answers ({refused}); check address and port")
+    with client:
+        yield client
+
+
+def worked(
+    client: Client, work: Callable[..., Sequence[Result]], pieces: Sequence[Sequence[Piece]], *given: Any
+) -> Iterator[tuple[Sequence[Piece], Sequence[Result] | None]]:
+    """Yield each piece with what `work(piece, *given)` returns, as they come; None where workers died of it.
+
+    A piece of several parts at which workers die is divided into its parts, so that only one of them is lost.
+    """
+    waiting = {client.submit(work, piece, *given, pure=False): piece for piece in pieces}
+    coming = as_completed(list(waiting))  # type: ignore[no-untyped-call]
+    for future in coming:
+        piece = waiting.pop(future)
+        try:
+            yield piece, future.result()
+        except KilledWorker:
+            if len(piece) == 1:
+                yield piece, None
+                continue
+            for part in piece:
+                again = client.submit(work, [part], *given, pure=False)
+                waiting[again] = [part]
+                coming.add(again)  # type: ignore[no-untyped-call]
+
+
+def pieces_of(parts: Sequence[Piece], sizes: Sequence[int], size: int) -> list[list[Piece]]:
+    """Join neighbours until a piece has this size: a piece of work is to take a second or more.
+
+    >>> pieces_of("abcde", [1, 1, 5, 1, 1], 3)
+    [['a', 'b', 'c'], ['d', 'e']]
+    """
+    found: list[list[Piece]] = []
+    room = 0
+    for part, own in zip(parts, sizes, strict=True):
+        if room <= 0:
+            found.append([])
+            room = size
+        found[-1].append(part)
+        room -= own
+    return found
