@@ -69,7 +69,6 @@ class Generators(NamedTuple):
     stale: FloatArray
     above: FloatArray
     below: FloatArray
-    needed: Flags
     weighed: Ints
     own: Ints
     own_owner: Ints
@@ -164,11 +163,11 @@ def _middle(values: FloatArray) -> float:
 
 
 @njit(cache=True)
-def _holds(z: FloatArray, above: FloatArray, below: FloatArray, needed: Flags) -> bool:
+def _holds(z: FloatArray, above: FloatArray, below: FloatArray) -> bool:
     """Whether samples (nz,) are in a region."""
     holds = True
     for i in range(len(z)):
-        holds = holds and not (needed[i] and (z[i] <= above[i] or z[i] >= below[i]))
+        holds = holds and not (z[i] <= above[i] or z[i] >= below[i])
     return holds
 
 
@@ -190,7 +189,7 @@ def modes(state: ModesState, usable: Flags, gated: Gated, found: Ints) -> None:
         found[k] = 0
         if state.counts[1] >= state.settle and known:
             for row in state.order:
-                if _holds(z, state.above[row], state.below[row], state.needed):
+                if _holds(z, state.above[row], state.below[row]):
                     found[k] = 1 + row
                     break
 
@@ -313,7 +312,7 @@ def _advance(
         hypotheses(state.z, state.assumed, g.table, row.assumed, row.assumed_next)
         _keep_hypotheses(g, state, row, advanced, fresh)
     for c in range(len(state.since_shown)):
-        shows = _holds(state.z, g.above[c], g.below[c], g.needed)
+        shows = _holds(state.z, g.above[c], g.below[c])
         state.since_shown[c] = 0 if shows else state.since_shown[c] + 1
     return advanced
 

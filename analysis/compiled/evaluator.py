@@ -142,8 +142,6 @@ def _modes(modes: Modes, inputs: list[Input], period_s: float) -> driver.ModesSt
 
 
 def _generators(of: GeneratorTable, table: FloatArray) -> driver.Generators:
-    regions = of.consequences
-    bounds = regions.above, regions.below, regions.needed
     return driver.Generators(
         of.lower,
         of.upper,
@@ -153,7 +151,8 @@ def _generators(of: GeneratorTable, table: FloatArray) -> driver.Generators:
         of.gain,
         of.warm_up,
         of.stale,
-        *bounds,
+        of.consequences.above,
+        of.consequences.below,
         of.weighed,
         of.own,
         of.own_owner,

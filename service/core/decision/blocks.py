@@ -40,7 +40,7 @@ class Block(NamedTuple):
 
 
 class BlockMeans:
-    """Cuts the ticks of one log into blocks. State: the sums of the block that is open."""
+    """Cuts the ticks of one log into blocks. State: the ticks of the block that is open."""
 
     def __init__(self, evidence: Evidence, generators: Sequence[str], time: TimeScale) -> None:
         self._columns = np.array([generators.index(name) for name in evidence.generators])
@@ -48,7 +48,7 @@ class BlockMeans:
         self._period_s, self._length = time.period_s, time.ticks(BLOCK)
         self._mode = EDGE
         self._begins = False
-        self._clear()
+        self._ticks: list[Residuals] = []
 
     def add(self, tick: int, mode: int, residuals: Residuals) -> Block | None:
         """Take a tick; return the block that it closes, or that the mode before it has closed."""
@@ -58,42 +58,47 @@ class BlockMeans:
             self._mode, self._begins = mode, True
         if mode == EDGE:
             return closed
-        usable = residuals.counted[self._columns]
-        self._count += 1
-        self._ticks += usable
-        self._total += np.where(usable, residuals.r[self._columns], 0.0)
-        if residuals.excess.ndim:
-            self._excess += np.where(usable, residuals.excess[self._columns], 0.0)
-        if self._hypotheses:
-            self._shift += np.where(usable, residuals.shift[: self._hypotheses], 0.0)
-        if self._count == self._length:
+        self._ticks.append(residuals)
+        if len(self._ticks) == self._length:
             closed = self._close(tick)
         return closed
 
     def _close(self, tick: int) -> Block | None:
         """Return the open block, which ends with this tick, where it has enough ticks; then open another."""
-        counts = self._ticks >= FEWEST * self._length
-        ticks = np.where(counts, self._ticks, 0.0)
         block = None
+        usable = np.array([each.counted[self._columns] for each in self._ticks]).reshape(-1, len(self._columns))
+        ticks = usable.sum(axis=0, dtype=np.float64)
+        counts = ticks >= FEWEST * self._length
         if counts.any():
-            most = np.maximum(self._ticks, 1.0)
+            most = np.maximum(ticks, 1.0)
             block = Block(
                 end_s=np.array([tick * self._period_s]),
                 mode=np.array([self._mode]),
                 begins=np.array([self._begins]),
-                ticks=ticks[None],
-                mean=(self._total / most)[None],
-                shift=(self._shift / most)[None],
-                excess=(self._excess / most)[None],
+                ticks=np.where(counts, ticks, 0.0)[None],
+                mean=(self._sum(usable, [each.r for each in self._ticks]) / most)[None],
+                shift=(self._shift(usable) / most)[None],
+                excess=(self._excess(usable) / most)[None],
             )
             self._begins = False
-        self._clear()
+        self._ticks = []
         return block
 
-    def _clear(self) -> None:
-        K = len(self._columns)
-        self._count, self._ticks, self._total, self._excess = 0, np.zeros(K), np.zeros(K), np.zeros(K)
-        self._shift = np.zeros((self._hypotheses, K))
+    def _sum(self, usable: Mask, values: Sequence[FloatArray]) -> FloatArray:
+        """The sums (K,) of the values (T,) of every tick, where these are `usable` (n, K)."""
+        return np.asarray(np.where(usable, np.array(values)[:, self._columns], 0.0).sum(axis=0))
+
+    def _shift(self, usable: Mask) -> FloatArray:
+        """The sums (H, K) of what the hypotheses do to the residuals."""
+        if not self._hypotheses:
+            return np.zeros((0, len(self._columns)))
+        shift = np.array([each.shift[: self._hypotheses] for each in self._ticks])
+        return np.asarray(np.where(usable[:, None], shift, 0.0).sum(axis=0))
+
+    def _excess(self, usable: Mask) -> FloatArray:
+        """The sums (K,) of the variances of networks' errors."""
+        said = [each.excess for each in self._ticks]
+        return self._sum(usable, said) if said[0].ndim else np.zeros(len(self._columns))
 
 
 def side_by_side(logs: Sequence[Sequence[Block]]) -> Iterator[Block]:

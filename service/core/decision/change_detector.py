@@ -111,22 +111,21 @@ class ChangeDetector:
     def _undeclared(self) -> FloatArray:
         """The ratios (B, T) of a shift by any constant."""
         K = len(self._unit)
-        c = self._c[..., -K:]
-        Q = (c * (np.linalg.pinv(self._free, hermitian=True) @ c[..., None])[..., 0]).sum(axis=-1)
-        Q = np.maximum(Q, K)
+        eigenvalues, vectors = np.linalg.eigh(self._free)
+        seen = eigenvalues > 1e-15 * eigenvalues[..., -1:]  # what no block has shown explains nothing
+        c = (self._c[..., None, -K:] @ vectors)[..., 0, :]
+        Q = np.maximum((np.where(seen, c, 0.0) ** 2 / np.where(seen, eigenvalues, 1.0)).sum(axis=-1), K)
         return np.asarray((Q - K * (1.0 + np.log(Q / K))) / 2.0)
 
     def _add_onset(self, block: Block) -> None:
         """Add the beginning of the block to the onsets; where the table is full, leave one out."""
         B, T = self.onset_s.shape
-        kept = np.tile(np.arange(T), (B, 1))
         if T == ONSETS:
             now = block.end_s[:, None]
             later = np.concatenate([self.onset_s[:, 2:], now], axis=1)
             gap = (later - self.onset_s[:, :-1]) / np.maximum(now - self.onset_s[:, 1:], 1e-9)
             out = 1 + gap.argmin(axis=1)[:, None]
-            kept = np.arange(T - 1) + (np.arange(T - 1) >= out)
-        self._keep(kept)
+            self._keep(np.arange(T - 1) + (np.arange(T - 1) >= out))
         began, state = self.filter.end_s, self.filter.state
         self.onset_s = _behind(self.onset_s, began)
         self._explained = _behind(self._explained, self._odd.before)
@@ -147,7 +146,7 @@ class ChangeDetector:
 
 def _chosen(table: FloatArray, kept: Indices) -> FloatArray:
     """The entries (B, n, ...) of a table (B, T, ...)."""
-    return np.take_along_axis(table, kept.reshape(*kept.shape, *[1] * (table.ndim - 2)), axis=1)
+    return table[np.arange(len(table))[:, None], kept]
 
 
 def _behind(table: FloatArray, new: FloatArray) -> FloatArray:

@@ -120,6 +120,7 @@ class Decision:
         self.confirmed = self.withdrawn = False
         self.level = np.zeros(len(self._tests))  # residuals without the baseline, as detectors see them
         self._usable = np.zeros(len(self._tests), dtype=np.bool_)
+        self._blind: tuple[tuple[bytes, frozenset[int]], list[str]] = (b"", frozenset()), []  # of which state, and who
 
     def update(self, tick: int, mode: int, residuals: Residuals) -> None:
         """Takes the residuals of a tick. The detector of a test that cannot tell is frozen, its alarm stands."""
@@ -291,6 +292,12 @@ class Decision:
     @property
     def cannot_tell(self) -> list[str]:
         """Tests that cannot tell now: none of their generators can, or one that alarms cannot and no other alarms."""
+        key = self._usable.tobytes(), self._detectors.firing
+        if key != self._blind[0]:
+            self._blind = key, self._unable()
+        return self._blind[1]
+
+    def _unable(self) -> list[str]:
         telling = {test for test, usable in zip(self._tests, self._usable, strict=True) if usable}
         frozen = {self._tests[row] for row in self._detectors.firing if not self._usable[row]} - {*self.alarm}
         return [test for test in dict.fromkeys(self._tests) if test not in telling or test in frozen]

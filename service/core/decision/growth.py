@@ -24,17 +24,30 @@ BETWEEN = 4
 """Present sizes that are tried from one assumed size to the next."""
 
 
-def grown(history: History, rows: Indices, seen: Mask) -> FloatArray:
-    """Return the mean shifts (M, D) of the means `seen` (C, K): each present size of one chain, by each course.
+class Growth:
+    """The courses that faults may have taken in one window, for the means `seen` (C, K)."""
 
-    `rows` (J,) are the hypotheses of its sizes from the smallest on: none is before them, and between two of them the
-    shift is on the straight line.
-    """
-    at = np.multiply.outer(present_sizes(len(rows)), _courses(history.age)).reshape(-1, len(history.age))  # (M, N)
-    parts = np.clip(1.0 - np.abs(at[..., None] - np.arange(1, len(rows) + 1)), 0.0, 1.0)  # (M, N, J)
-    shift = history.shift[:, rows][:, :, seen]  # (N, J, D), sums
-    total = parts.reshape(len(parts), -1) @ shift.reshape(-1, shift.shape[-1])
-    return np.asarray(total / np.maximum(history.ticks[:, seen].sum(axis=0), 1.0))
+    def __init__(self, history: History, seen: Mask) -> None:
+        self._ticks = np.maximum(history.ticks[:, seen].sum(axis=0), 1.0)  # (D,)
+        self._shift = history.shift[:, :, seen]  # (N, H, D), sums
+        self._course = _courses(history.age)
+        self._parts: dict[int, FloatArray] = {}
+
+    def shifts(self, rows: Indices) -> FloatArray:
+        """Return the mean shifts (M, D): each present size of one chain, by each course.
+
+        `rows` (J,) are the hypotheses of its sizes from the smallest on: none is before them, and between two of them
+        the shift is on the straight line.
+        """
+        if len(rows) not in self._parts:
+            self._parts[len(rows)] = self._sized(len(rows))
+        total = self._parts[len(rows)] @ self._shift[:, rows].reshape(-1, self._shift.shape[-1])
+        return np.asarray(total / self._ticks)
+
+    def _sized(self, steps: int) -> FloatArray:
+        """What each assumed size has of the shift of each part of the window (M, N J)."""
+        at = np.multiply.outer(present_sizes(steps), self._course).reshape(-1, self._course.shape[1], 1)  # (M, N, 1)
+        return np.maximum(1.0 - np.abs(at - np.arange(1, steps + 1)), 0.0).reshape(len(at), -1)
 
 
 def present_sizes(steps: int) -> FloatArray:
@@ -45,4 +58,6 @@ def present_sizes(steps: int) -> FloatArray:
 def _courses(age: FloatArray) -> FloatArray:
     """The parts (W, N) of the present size that a fault has had at each age."""
     since = 1.0 - age / max(float(age.max()), 1.0)  # 0 at the beginning, 1 now
-    return np.array([np.clip(w + (1.0 - w) * since / end, w, 1.0) for w in BEGINS for end in ENDS])
+    begin, end = np.array(BEGINS)[:, None, None], np.array(ENDS)[:, None]
+    grown = begin + (1.0 - begin) * since / end
+    return np.asarray(np.minimum(np.maximum(grown, begin), 1.0).reshape(-1, len(age)))

@@ -33,7 +33,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from faultline.service.core.decision.growth import grown, present_sizes
+from faultline.service.core.decision.growth import Growth, present_sizes
 from faultline.service.core.decision.straying import History
 from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
@@ -237,13 +237,12 @@ class Look:
     def _grown(self) -> dict[str, tuple[float, int]]:
         """The misfit of the faults that fit better if they have grown, with its cost, and the chain that does."""
         found: dict[str, tuple[float, int]] = {}
-        if self._history is None:
+        if self._history is None or not self.segments.faults:
             return found
-        for number in range(int(self.segments.chain.max(initial=-1)) + 1):
-            tried = self._courses(number)
-            variance = self._S.diagonal() + (GAMMA * tried) ** 2
-            near = ((tried - self._d) ** 2 / variance).sum(axis=1).argsort()[:NEAREST]
-            misfit = float(self._misfits(self._whitened(tried[near])[:, None]).min()) + GROWN
+        chains = range(int(self.segments.chain.max(initial=-1)) + 1)
+        nearest = np.concatenate([self._nearest_courses(number) for number in chains])
+        misfits = self._misfits(self._whitened(nearest)[:, None]).reshape(len(chains), -1).min(axis=1) + GROWN
+        for number, misfit in zip(chains, misfits.tolist(), strict=True):
             if self.has_free_shifts:
                 misfit += self._price(1, self.nothing - misfit)
             fault = self.segments.faults[int(np.flatnonzero(self.segments.chain == number)[0])]
@@ -251,11 +250,21 @@ class Look:
                 found[fault] = misfit, number
         return found
 
+    def _nearest_courses(self, number: int) -> FloatArray:
+        """The mean shifts (NEAREST, D) of one chain that come nearest to what is seen, each mean by itself."""
+        tried = self._courses(number)
+        variance = self._S.diagonal() + (GAMMA * tried) ** 2
+        near = ((tried - self._d) ** 2 / variance).sum(axis=1).argsort()[:NEAREST]
+        return np.asarray(tried[near])
+
+    @cached_property
+    def _growth(self) -> Growth:
+        assert self._history is not None
+        return Growth(self._history, self._seen)
+
     def _courses(self, number: int) -> FloatArray:
         """The mean shifts (M, D) of one chain's fault by its present size and the course of its growth."""
-        assert self._history is not None
-        rows = self.segments.end[self.segments.chain == number] - 1  # without that of no fault
-        return grown(self._history, rows, self._seen)
+        return self._growth.shifts(self.segments.end[self.segments.chain == number] - 1)  # row 0 is no fault
 
     def _whitened(self, mu: FloatArray) -> FloatArray:
         """Shifts (M, D) in the coordinates in which S is the unit matrix."""

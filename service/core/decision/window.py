@@ -22,6 +22,9 @@ FIRST = 6
 """The row of the sums at which those of the hypotheses begin."""
 
 PART, RECENT = Span(settlings=7.5, periods=750), Span(settlings=1.5, periods=150)
+_Waiting = tuple[int, int, Residuals]
+"""A tick that is not added yet: its number in the window, its mode and residuals."""
+
 CHUNK, CHUNKS = 5, 64
 """Blocks that are joined once they are no more the last two, and so many of these; then the oldest two become one."""
 
@@ -44,29 +47,32 @@ class Window:
         K = len(self._columns)
         # Sums as in `Means`, those of hypotheses and of consequences behind the others.
         self._sums = np.zeros((self.PARTS, FIRST + self._hypotheses + self._consequences, self._modes, K))
+        self._values = np.zeros(self._sums.shape[1::2])  # of a tick, beside the sums
         self._visit = Visit(K)
         self._tick = 0
 
     def add(self, mode: int, residuals: Residuals) -> None:
         """Takes the residuals of a tick; those at an edge say nothing."""
-        self._visit.in_mode(mode)
         self._tick += 1
         self._forget(mode)
+        self._take(self._sums[-1], self._tick, mode, residuals)
+
+    def _take(self, sums: FloatArray, tick: int, mode: int, residuals: Residuals) -> None:
+        """Add a tick to the sums."""
+        self._visit.in_mode(mode)
         if mode == EDGE:
             return
         told = residuals.counted[self._columns]
-        part = self._sums[-1, :, mode - 1]
-        part[0] += told
-        part[1] += told * (2.0 * self._visit.length + 1.0)
-        part[2] += np.where(told, residuals.r[self._columns], 0.0)
-        part[3] += np.where(told, residuals.y_hat[self._columns], 0.0)
-        part[4] += told * self._tick
+        values = self._values
+        values[0], values[1], values[4] = 1.0, 2.0 * self._visit.length + 1.0, tick
+        values[2], values[3] = residuals.r[self._columns], residuals.y_hat[self._columns]
         if residuals.excess.ndim:
-            part[5] += np.where(told, residuals.excess[self._columns], 0.0)
+            values[5] = residuals.excess[self._columns]
         if self._hypotheses:
-            part[FIRST : FIRST + self._hypotheses] += np.where(told, residuals.shift, 0.0)
+            values[FIRST : FIRST + self._hypotheses] = residuals.shift
         if self._consequences:
-            part[FIRST + self._hypotheses :] += told & residuals.brought[:, None]
+            values[FIRST + self._hypotheses :] = residuals.brought[:, None]
+        np.add(sums[:, mode - 1], values, out=sums[:, mode - 1], where=told)
         self._visit.length = self._visit.length + told
 
     def _forget(self, mode: int) -> None:
@@ -157,14 +163,34 @@ class Blocks(Window):
 
 
 class Recent(Window):
-    """The same of the last `RECENT` to twice as much alone: a mode not visited since is not seen."""
+    """The same of the last `RECENT` to twice as much alone: a mode not visited since is not seen.
+
+    Ticks are added when the means are asked for: most are forgotten before.
+    """
 
     def clear(self) -> None:
         """Starts anew."""
         super().clear()
-        self._ticks = 0
+        self._waiting: tuple[list[_Waiting], list[_Waiting]] = [], []  # of the older part and of the newer
 
-    def _forget(self, _mode: int) -> None:
-        self._ticks += 1
-        if self._ticks % self._recent == 0:
+    def add(self, mode: int, residuals: Residuals) -> None:
+        """Takes the residuals of a tick."""
+        self._tick += 1
+        if self._tick % self._recent == 0:
+            older, newer = self._waiting
+            for _, was, residual in older:
+                self._visit.in_mode(was)
+                if was != EDGE:
+                    self._visit.length = self._visit.length + residual.counted[self._columns]
+            self._waiting = newer, []
             self._sums[0], self._sums[1] = self._sums[1], 0.0
+        self._waiting[1].append((self._tick, mode, residuals))
+
+    @property
+    def means(self) -> Means:
+        """What was seen."""
+        for sums, waiting in zip(self._sums, self._waiting, strict=True):
+            for each in waiting:
+                self._take(sums, *each)
+            waiting.clear()
+        return super().means

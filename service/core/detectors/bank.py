@@ -24,6 +24,7 @@ from faultline.service.core.signals.values import FloatArray
 from faultline.service.core.time_scale import Span, TimeScale, ticks_of
 
 FROZEN = Span(settlings=15, seconds=300)
+NONE: frozenset[int] = frozenset()
 
 
 def detector(settings: Settings, period_s: float) -> Detector:
@@ -59,40 +60,37 @@ class DetectorBank:
         self._detectors = [detector(each, time.period_s) for each in settings]
         self._standard = Standard(settings, self._rows)
         self._frozen = np.zeros(len(generators), dtype=np.int64)  # ticks since each could tell
+        self._standing: list[int] = []  # the detectors whose alarm stands
+        self.firing: frozenset[int] = NONE
+        """The generators of which some detector alarms."""
+        self.alarmed: frozenset[int] = NONE
+        """The generators whose level alarms."""
 
     def update(self, tick: int, mode: int, residuals: Residuals) -> None:
         """Takes the residuals (T,) of a tick; those that are no evidence are not looked at."""
-        standard = self._standard(mode, residuals)
+        standard = self._standard(mode, residuals).tolist()
         counts = residuals.counted
         self._frozen = np.where(counts, 0, self._frozen + 1)
-        for each, row, s in zip(self._detectors, self._rows, standard, strict=True):
-            if counts[row]:
-                each.update(tick, float(s))
+        can_tell = counts.tolist()
+        standing = []
+        for k, (each, row, s) in enumerate(zip(self._detectors, self._rows, standard, strict=True)):
+            if can_tell[row]:
+                each.update(tick, s)
+            if each.alarm and self._frozen[row] <= self._longest:
+                standing.append(k)
+        if standing != self._standing:
+            self._standing = standing
+            self.firing = frozenset(self._rows[k] for k in standing)
+            self.alarmed = frozenset(self._rows[k] for k in standing if self._level[k])
 
     def beside(self, covered: frozenset[int]) -> bool:
         """Return whether a detector alarms that is none of the level of the `covered` generators."""
-        told = zip(self._detectors, self._rows, self._level, strict=True)
-        return any(self._stands(each, row) for each, row, level in told if not (level and row in covered))
-
-    @property
-    def firing(self) -> frozenset[int]:
-        """The generators of which some detector alarms."""
-        return frozenset(row for each, row in zip(self._detectors, self._rows, strict=True) if self._stands(each, row))
-
-    def _stands(self, each: Detector, row: int) -> bool:
-        return each.alarm and bool(self._frozen[row] <= self._longest)
-
-    @property
-    def alarmed(self) -> frozenset[int]:
-        """The generators whose level alarms."""
-        told = zip(self._detectors, self._rows, self._level, strict=True)
-        return frozenset(row for each, row, level in told if level and self._stands(each, row))
+        return any(not (self._level[k] and self._rows[k] in covered) for k in self._standing)
 
     @property
     def since(self) -> int | None:
         """The tick at which the evidence of what alarms began."""
-        standing = zip(self._detectors, self._rows, strict=True)
-        since = [each.since for each, row in standing if self._stands(each, row)]
+        since = [self._detectors[k].since for k in self._standing]
         return min((tick for tick in since if tick is not None), default=None)
 
     @property

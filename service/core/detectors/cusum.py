@@ -44,12 +44,15 @@ class Cusum:
 
     def update(self, tick: int, s: float) -> None:
         """Takes the standardised residual of a tick; not called (sums frozen) while the test cannot tell."""
-        ceiling = 2 * self._J
+        ceiling, above, below = 2 * self._J, self._above, self._below
         if self._side != "below":
-            self._above = min(ceiling, max(0.0, self._above + s - self._nu))
+            above = above + s - self._nu
+            above = min(above, ceiling) if above > 0.0 else 0.0
         if self._side != "above":
-            self._below = min(ceiling, max(0.0, self._below - s - self._nu))
-        largest = max(self._above, self._below)
+            below = below - s - self._nu
+            below = min(below, ceiling) if below > 0.0 else 0.0
+        self._above, self._below = above, below
+        largest = max(above, below)
         if largest == 0.0:
             self.alarm = False
             self.since = None

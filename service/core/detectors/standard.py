@@ -25,19 +25,25 @@ class Standard:
         modes = len(detectors[0].offset) if detectors else 0
         shape = len(detectors), modes
         self._rows = np.array(rows, dtype=np.intp)
-        self._offset = np.array([detector.offset for detector in detectors]).reshape(shape)
-        self._scale = np.array([detector.scale for detector in detectors]).reshape(shape)
-        self._adaptive = np.array([isinstance(d, AdaptiveDetector) for d in detectors], dtype=np.bool_)
-        self._spread = np.array([isinstance(d, SpreadDetector) for d in detectors], dtype=np.bool_)
+        self._offset = np.array([detector.offset for detector in detectors]).reshape(shape).T.copy()
+        self._scale = np.array([detector.scale for detector in detectors]).reshape(shape).T.copy()
+        adaptive = [isinstance(detector, AdaptiveDetector) for detector in detectors]
+        self._adaptive = np.array(adaptive, dtype=np.bool_) if any(adaptive) else None
+        spread = [isinstance(detector, SpreadDetector) for detector in detectors]
+        self._spread = np.array(spread, dtype=np.bool_) if any(spread) else None
         ones = [1.0] * modes
-        self._usual = np.array([d.usual if isinstance(d, AdaptiveDetector) else ones for d in detectors]).reshape(shape)
+        self._usual = (
+            np.array([d.usual if isinstance(d, AdaptiveDetector) else ones for d in detectors]).reshape(shape).T
+        )
 
     def __call__(self, mode: int, residuals: Residuals) -> FloatArray:
         """The standardised residual (D,) of a tick for each detector; whatever it is where the test cannot tell."""
         if not len(self._rows):
             return np.zeros(0)
-        sigma = np.where(self._adaptive, residuals.sigma[self._rows], 1.0)
-        spread = self._scale[:, mode] * sigma / self._usual[:, mode]
-        r = residuals.r[self._rows]
-        level = r if residuals.level is None else np.where(self._spread, r, residuals.level[self._rows])
-        return np.asarray((level - self._offset[:, mode]) / spread)
+        scale = self._scale[mode]
+        if self._adaptive is not None:
+            scale = scale * np.where(self._adaptive, residuals.sigma[self._rows], 1.0) / self._usual[mode]
+        level = (residuals.r if residuals.level is None else residuals.level)[self._rows]
+        if self._spread is not None:
+            level = np.where(self._spread, residuals.r[self._rows], level)
+        return np.asarray((level - self._offset[mode]) / scale)

@@ -7,7 +7,7 @@ import pytest
 from uds_time import PART_TICKS, TIME
 
 from faultline.service.core.decision.explaining import fitting, nearest
-from faultline.service.core.decision.growth import grown
+from faultline.service.core.decision.growth import Growth
 from faultline.service.core.decision.hypotheses import Hypotheses
 from faultline.service.core.decision.look import GROWN, Look
 from faultline.service.core.decision.straying import History
@@ -113,7 +113,7 @@ def test_the_shift_of_a_course_is_the_mean_of_its_sizes() -> None:
     """Two parts of a window, alike: half the size at the first one's age, the whole now, or the whole at both."""
     ticks = np.full((2, 3, 2), 10.0)
     history = History(ticks, np.array([100.0, 0.0]), 10.0 * np.repeat(SHIFTS[None, 2:], 2, axis=0))
-    found = grown(history, np.arange(3), np.ones((3, 2), dtype=np.bool_))
+    found = Growth(history, np.ones((3, 2), dtype=np.bool_)).shifts(np.arange(3))
     of_idle = set(found[:, 0].round(9).tolist())
     half_then_whole, always = (0.25 + 0.5) / 2.0, 0.5  # of size 1, whose shift is 0.5 at idle
     assert {half_then_whole, always} <= of_idle
