@@ -22,6 +22,12 @@ BATCH = 512
 QUEUE = 4 * 1024 * 1024
 """Bytes of receive queue asked of the kernel, which grants at most net.core.rmem_max."""
 
+FRAME_BYTES = 800
+"""Of the receive queue, that a frame takes with what the kernel keeps beside it (docs/decisions/015-one-loop.md)."""
+
+FULL_BUS = 8000
+"""Frames a second of a bus of 1 Mbit/s without a pause."""
+
 SLACK_S = 0.1
 """No frame has come before the queue was seen empty, nor after it was read: a stamp that says so, by more than this, is
 of a clock that was set."""
@@ -60,6 +66,10 @@ class Bus(ABC):
         self.counts = Counts()
         self.trouble: Trouble | None = None
         self.why = ""  # it could not be opened, the last time
+        self.rest_s = 0.0
+        """For how long frames may wait unread [s]: a full bus fills half of the queue meanwhile."""
+        self.is_read_out = False
+        """What the last call of `receive` left: nothing that waits."""
         self._last = 0.0  # time of the newest frame; frames never go back
         self._empty = time.monotonic()  # when no frame waited, the last time that was seen
 
@@ -107,6 +117,11 @@ class Bus(ABC):
         t = now - (time.time() - stamp)
         self._last = max(self._last, t if self._empty - SLACK_S <= t <= now else now)
         return self._last
+
+
+def rest_of(sock: socket.socket) -> float:
+    """Return for how long frames may wait in the queue of a socket, as `Bus.rest_s` has it."""
+    return sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) / FRAME_BYTES / FULL_BUS / 2.0
 
 
 def wall_stamp(extras: list[tuple[int, int, bytes]]) -> float:

@@ -10,7 +10,7 @@ import struct
 import time
 from collections.abc import Callable, Iterable, Sequence
 
-from faultline.service.bus.base import BATCH, QUEUE, SLACK_S, SO_TIMESTAMPNS, Bus, BusError
+from faultline.service.bus.base import BATCH, QUEUE, SLACK_S, SO_TIMESTAMPNS, Bus, BusError, rest_of
 from faultline.service.bus.error_frame import BUS_OFF, CONTROLLER, RESTARTED, read_error
 from faultline.service.bus.interface import Interface, interface, losses
 from faultline.service.bus.reader import CLASSIC, FD, SO_RXQ_OVFL, Message, Reader, reader_of
@@ -109,7 +109,8 @@ class SocketCan(Bus):
         now = time.monotonic()
         apart, last = now - time.time(), self._last
         earliest, latest = self._empty - SLACK_S, now + SLACK_S
-        if len(messages) < BATCH:
+        self.is_read_out = len(messages) < BATCH
+        if self.is_read_out:
             self._empty = begun
         for identifier, data, is_local, stamp, drops in messages:
             if drops is not None:
@@ -217,6 +218,7 @@ class SocketCan(Bus):
         self._socket = self._make(self._name, self._wanted)
         self._socket.setblocking(False)
         self._read = reader_of(self._socket)
+        self.rest_s = rest_of(self._socket)
         self._at = self._look(self._name)
         self._local = self._believe_local or (self._at is not None and self._at.virtual)
         self._wait, self.trouble, self.why = RETRY_S, None, ""

@@ -16,7 +16,7 @@ import can
 import msgspec
 from can.interfaces.udp_multicast.utils import pack_message
 
-from faultline.service.bus.base import BATCH, QUEUE, SO_TIMESTAMPNS, Bus, BusError, wall_stamp
+from faultline.service.bus.base import BATCH, QUEUE, SO_TIMESTAMPNS, Bus, BusError, rest_of, wall_stamp
 from faultline.service.logs import Frame
 
 LOOPBACK = socket.inet_aton("127.0.0.1")
@@ -59,6 +59,7 @@ class UdpMulticast(Bus):
             self._socket.close()
             remedy = "it needs the loopback interface: ip link set lo up, or another port"
             raise BusError(f"{self._name}: {error.strerror}; {remedy}") from error
+        self.rest_s = rest_of(self._socket)
         self._dropped = 0
         self._inode = str(os.fstat(self._socket.fileno()).st_ino)
 
@@ -79,12 +80,12 @@ class UdpMulticast(Bus):
     def receive(self) -> list[Frame]:
         """Return at most `BATCH` frames; raises `BusError` if none will ever come again."""
         frames: list[Frame] = []
-        begun = time.monotonic()
+        begun, self.is_read_out = time.monotonic(), False
         for _ in range(BATCH):
             try:
                 content, extras, _flags, _address = self._socket.recvmsg(LARGEST, 256, socket.MSG_DONTWAIT)
             except BlockingIOError:
-                self._empty = begun
+                self._empty, self.is_read_out = begun, True
                 break
             except OSError as error:
                 raise BusError(f"{self._name}: lost: {error.strerror}") from error

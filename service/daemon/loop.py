@@ -43,6 +43,7 @@ from faultline.service.systemd import Heartbeat, Notifier
 
 IDLE_S = 0.5  # longest sleep, and the shortest time in which a stop is noticed
 ASKED_S = 0.005  # how often a bus that wakes nobody is asked
+SHORTEST_REST_S = 0.005  # what is shorter spares too few wakes to be worth it
 LOOK_S = 1.0  # how often buses, signals and clocks are looked at
 QUEUED = 64  # batches: more than the longest queue holds
 KEEPING_S = 3.0  # at the end, how long the store may take
@@ -104,7 +105,7 @@ class Loop:
             signal.signal(number, self._stop)
         if self._reload is not None:
             signal.signal(signal.SIGHUP, self._ask)
-        with selectors.DefaultSelector() as selector:
+        with selectors.DefaultSelector() as selector, selectors.EpollSelector() as self._buses:
             self._subscribers.register(selector)
             if self._control is not None:
                 self._control.register(selector)
@@ -119,16 +120,16 @@ class Loop:
     def _turn(self, selector: selectors.BaseSelector) -> None:
         """One iteration: receive, diagnose, persist, publish, answer queries, check health."""
         for line in self._lines:
-            self._register(line, selector)
-        ready = selector.select(self._patience())
+            self._register(line)
+        ready = self._waited(selector)
         if self._begins_anew():
             for line in self._lines:
-                self._register(line, selector)
+                self._register(line)
         for line in self._lines:
             for watched, events in line.listen(self._clock()):
                 self._fault_recorder.take(watched, events)
             self._keep_context(line)
-            self._register(line, selector)  # now: a subscriber may get the number of one that was closed
+            self._register(line)  # now: a subscriber may get the number of one that was closed
         self._tell(self._journal.take())
         if self._journal.take_up():
             self._sequencer.last = self._told = max(self._sequencer.last, self._journal.last)
@@ -164,16 +165,31 @@ class Loop:
         self._notifier.tell(READY=1)
         self._clocks.look()  # the time that this took is none in which the process was stopped
 
-    def _register(self, line: BusChannel, selector: selectors.BaseSelector) -> None:
+    def _waited(self, selector: selectors.BaseSelector) -> list[tuple[selectors.SelectorKey, int]]:
+        """Wait for what there is to do; return which descriptors are ready.
+
+        A bus that brings frames is not waited for until the next tick: a wake for every frame would cost more than all
+        decisions. The kernel stamps frames and holds them meanwhile.
+        """
+        patience, rest_s = self._patience(), min((line.rest_s for line in self._lines), default=0.0)
+        if rest_s >= SHORTEST_REST_S:
+            return selector.select(min(patience, rest_s))
+        selector.register(self._buses.fileno(), selectors.EVENT_READ)
+        try:
+            return selector.select(patience)
+        finally:
+            selector.unregister(self._buses.fileno())
+
+    def _register(self, line: BusChannel) -> None:
         """Register the bus's descriptor: a new one after its interface was gone, though its number may be the same."""
         now, before = (line.bus.fileno(), line.bus.counts.removals), self._registered.get(line)
         if now == before:
             return
         if before is not None:
-            selector.unregister(before[0])
+            self._buses.unregister(before[0])
             del self._registered[line]
         if now[0] >= 0:
-            selector.register(now[0], selectors.EVENT_READ)
+            self._buses.register(now[0], selectors.EVENT_READ)
             self._registered[line] = now
 
     def _patience(self) -> float:

@@ -289,10 +289,13 @@ class BusChannel:
         self._why = ""
         self._codes = codes
         self._changes: list[Change] = []
+        self.rest_s = 0.0
+        """For how long the bus need not be looked at [s]: 0 while it is silent, or has more than was read."""
 
     def listen(self, now: float) -> list[tuple[Pipeline, list[Event]]]:
         """Takes what the bus has; `now` is the monotonic time before that [s]: what came later has not been read."""
         frames = self.bus.receive()
+        self.rest_s = self.bus.rest_s if frames and self.bus.is_read_out else 0.0
         if self._codes is not None:
             for frame in frames:
                 self._changes += self._codes.frame(*frame)
@@ -313,7 +316,9 @@ class BusChannel:
             if bundle.bundle.table.buses:
                 events.extend(bundle.hear_all(frames, now))
             else:
-                events.extend(bundle.hear(frames) if frames else bundle.silence(now))  # those before a failure stay
+                events.extend(bundle.hear(frames))  # those before a failure stay
+                if self.bus.is_read_out or not frames:
+                    events.extend(bundle.silence(now))
         except FAILURES as error:
             out_s = bundle.fail(now)
             self._say(f"bundle {bundle.bundle.manifest.name} begins anew in {out_s:.0f} s: {one_line(error)}")

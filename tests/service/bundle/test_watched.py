@@ -131,6 +131,32 @@ def breaking(made: list[str]) -> Pipeline:
     return Pipeline(load_bundle(GOLDEN), breaks, 1.0)
 
 
+def decided(bus: Bus, patch: pytest.MonkeyPatch, frames: list[Frame], *, at_ticks: bool) -> list[int]:
+    """The ticks that are decided, where the bus is read at every frame, or only when a tick is due."""
+    ticks: list[int] = []
+    made = watched(load_bundle(GOLDEN), "truck", 1.0, lambda sample: ticks.append(sample.tick))
+    line, waiting = BusChannel("powertrain", bus, [made], print), list(frames)
+    while waiting:
+        due = made.due() if at_ticks else None
+        now = waiting[0].t if due is None else due
+        came = [frame for frame in waiting if frame.t <= now]
+        waiting = waiting[len(came) :]
+        bus.is_read_out = True
+        patch.setattr(bus, "receive", lambda came=came: came)
+        line.listen(now)
+        assert line.rest_s == (bus.rest_s if came else 0.0)
+        due = made.due()
+        assert due is None or due > now, "every tick that is due is decided"
+    return ticks
+
+
+def test_frames_that_waited_until_a_tick_are_decided_at_it(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = recording(until_s=30.0)
+    at_frames, at_ticks = (decided(bus, monkeypatch, frames, at_ticks=each) for each in (False, True))
+    assert at_ticks[: len(at_frames)] == at_frames
+    assert len(at_frames) > 100
+
+
 def test_a_bundle_that_fails_begins_anew_and_the_others_go_on(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     made, said = list[str](), list[str]()
     whole = watched(load_bundle(GOLDEN), "truck", 1.0)

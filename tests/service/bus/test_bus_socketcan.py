@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from faultline.service.bus import BusError, open_bus, socketcan, socketcan_available
-from faultline.service.bus.base import BATCH, Counts
+from faultline.service.bus.base import BATCH, QUEUE, Counts
 from faultline.service.bus.interface import Interface, interface
 from faultline.service.bus.reader import unpack
 from faultline.service.bus.socketcan import LONGEST_RETRY_S, LOOK_S, RETRY_S, SocketCan, can_filters
@@ -133,6 +133,10 @@ class Script:
 
     def setblocking(self, flag: bool) -> None:
         assert flag is False
+
+    def getsockopt(self, _level: int, option: int) -> int:
+        assert option == socket.SO_RCVBUF
+        return 2 * QUEUE
 
     def recvmsg(self, *_sizes: int) -> tuple[bytes, list[tuple[int, int, bytes]], int, None]:
         if not self.steps:

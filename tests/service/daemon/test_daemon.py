@@ -1,6 +1,7 @@
 """The daemon's loop with a bus and a clock that do what they are told."""
 
 import os
+import selectors
 import signal
 import socket
 import sys
@@ -317,6 +318,20 @@ class Told:
 
 def nothing() -> None:
     return
+
+
+@pytest.mark.parametrize("rest_s", [0.0, 0.2])
+def test_a_bus_that_brings_frames_wakes_nobody_until_the_next_tick(rest_s: float, tmp_path: Path, clock: Clock) -> None:
+    told = Told(tmp_path, clock)
+    [line], [wire] = told.loop._lines, told.wires
+    with told.journal, told.subscribers, selectors.DefaultSelector() as every, selectors.EpollSelector() as buses:
+        told.loop._buses = buses
+        told.loop._register(line)
+        wire.put(frame(clock.now))
+        line.rest_s = rest_s
+        ready = told.loop._waited(every)
+    wire.close()
+    assert bool(ready) == (rest_s == 0.0)
 
 
 @pytest.fixture
