@@ -57,7 +57,10 @@ class ModesState(NamedTuple):
 
 
 class Generators(NamedTuple):
-    """What a bundle says of its T generators, of the consequences (C) and of the K that have hypotheses."""
+    """What a bundle says of its T generators, of the consequences (C) and of the K that have hypotheses.
+
+    `of_tests`, `of_hypotheses` and `table` are the constants of the graphs' functions.
+    """
 
     lower: FloatArray
     upper: FloatArray
@@ -72,6 +75,8 @@ class Generators(NamedTuple):
     weighed: Ints
     own: Ints
     own_owner: Ints
+    of_tests: FloatArray
+    of_hypotheses: FloatArray
     table: FloatArray
 
 
@@ -306,10 +311,10 @@ def _advance(
             state.z[i] = z[i]
     fresh, fed, inside = _fed(g, state, usable)
     _restart(g, state, fed & (state.missed > HELD_TICKS), fresh)
-    tests(state.z, state.x, row.r, row.y_hat, row.sigma, row.x_next)
+    tests(state.z, state.x, g.of_tests, row.r, row.y_hat, row.sigma, row.x_next)
     advanced = _keep_tests(g, state, row, fed, inside)
     if len(row.assumed):
-        hypotheses(state.z, state.assumed, g.table, row.assumed, row.assumed_next)
+        hypotheses(state.z, state.assumed, g.of_hypotheses, g.table, row.assumed, row.assumed_next)
         _keep_hypotheses(g, state, row, advanced, fresh)
     for c in range(len(state.since_shown)):
         shows = _holds(state.z, g.above[c], g.below[c])

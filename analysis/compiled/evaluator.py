@@ -34,7 +34,7 @@ class CompiledEvaluator:
         self._kernels = kernels
         self._gate = _gate(manifest.inputs)
         self._modes = _modes(manifest.modes, manifest.inputs, manifest.period_s)
-        self._of = _generators(of, kernels.table)
+        self._of = _generators(of, kernels)
         hypotheses = len(manifest.evidence.hypotheses) if len(of.weighed) else 0
         self._state, self._before = _state(of, hypotheses), _state(of, hypotheses)
         nz, nx, T, K = len(manifest.inputs), len(of.owner), len(manifest.generators), len(of.weighed)
@@ -141,7 +141,7 @@ def _modes(modes: Modes, inputs: list[Input], period_s: float) -> driver.ModesSt
     return driver.ModesState(tracker.limit, *bounds, order, tracker.last, _counts(2), tracker.settle)
 
 
-def _generators(of: GeneratorTable, table: FloatArray) -> driver.Generators:
+def _generators(of: GeneratorTable, kernels: Kernels) -> driver.Generators:
     return driver.Generators(
         of.lower,
         of.upper,
@@ -156,7 +156,9 @@ def _generators(of: GeneratorTable, table: FloatArray) -> driver.Generators:
         of.weighed,
         of.own,
         of.own_owner,
-        table,
+        kernels.of_tests,
+        kernels.of_hypotheses,
+        kernels.table,
     )
 
 

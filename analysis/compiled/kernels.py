@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import NamedTuple
 
 from faultline.analysis.compiled.elements import NotCompiledError, program_of
-from faultline.analysis.compiled.source import HEAD, NO_HYPOTHESES, hypotheses_text, table_of, tests_text
+from faultline.analysis.compiled.source import HEAD, NO_HYPOTHESES, hypotheses_text, numbers_of, table_of, tests_text
 from faultline.service.core.signals.values import FloatArray
 from faultline.writing import write_file
 
@@ -25,10 +25,12 @@ Function = Callable[..., None]
 
 
 class Kernels(NamedTuple):
-    """The functions of both graphs, and what differs between the hypotheses (columns, H)."""
+    """The functions of both graphs, their constants, and what differs between the hypotheses (columns, H)."""
 
     tests: Function
     hypotheses: Function
+    of_tests: FloatArray
+    of_hypotheses: FloatArray
     table: FloatArray
 
 
@@ -46,7 +48,9 @@ def kernels_of(tests: bytes, hypotheses: bytes | None, rows: int) -> Kernels:
     module = _module(
         "".join([HEAD, tests_text(of_tests), *(map(hypotheses_text, others) if others else [NO_HYPOTHESES])])
     )
-    return Kernels(module.tests, module.hypotheses, table_of(others[0] if others else None, rows))
+    other = others[0] if others else None
+    numbers = numbers_of(of_tests), numbers_of(other)
+    return Kernels(module.tests, module.hypotheses, *numbers, table_of(other, rows))
 
 
 def _module(text: str) -> ModuleType:

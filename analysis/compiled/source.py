@@ -1,7 +1,13 @@
 """Text of a program's functions, which Numba compiles: one for the tests, one whose inner loop is the hypotheses.
 
-tests(z, x, r, y_hat, sigma, x_next)         vectors; the outputs are filled
-hypotheses(z, x, table, r, x_next)           x, r, x_next: (columns, H), so that the compiler takes several h at once
+The functions fill their outputs. Those of the tests are vectors; those of the hypotheses are (columns, H), so that the
+compiler takes several hypotheses at once:
+
+    tests(z, x, p, r, y_hat, sigma, x_next)
+    hypotheses(z, x, p, table, r, x_next)
+
+Constants that are no small whole numbers are in `p`, and in `table` (columns, H) where each hypothesis has its own. So
+the text is that of a model's structure: vehicles that differ in their parameters share it, and what was compiled of it.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,8 +25,11 @@ from numba import njit
 '''
 DECORATOR = '\n\n@njit(SIGNATURE, cache=True, error_model="numpy", boundscheck=False)\n'
 VECTOR, MATRIX = "float64[::1]", "float64[:, ::1]"
-OF_TESTS, OF_HYPOTHESES = ", ".join([VECTOR] * 6), ", ".join([VECTOR, *[MATRIX] * 4])
+OF_TESTS, OF_HYPOTHESES = ", ".join([VECTOR] * 7), ", ".join([VECTOR, MATRIX, VECTOR, *[MATRIX] * 3])
 """Types of the arguments of both functions."""
+LITERAL = 16
+"""Whole numbers up to this are written as they are."""
+
 _BINARY = {"add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "max": "{1} if {1} > {0} else {0}"}
 _UNARY = {"neg": "-{}", "abs": "abs({})", "sqrt": "sqrt({})", "exp": "exp({})", "log": "log({})", "tanh": "tanh({})"}
 _TEXT = {**_BINARY, **_UNARY}
@@ -30,15 +39,20 @@ def tests_text(program: Program) -> str:
     """The function of the residual generators."""
     outputs = ("r", "y_hat", "sigma", "x_next")
     body = [*_lines(program, "{}[{}]"), *_stores(program, outputs, "{}[{}]")]
-    return _function("tests", ["z", "x", *outputs], OF_TESTS, body, "    ")
+    return _function("tests", ["z", "x", "p", *outputs], OF_TESTS, body, "    ")
 
 
 def hypotheses_text(program: Program) -> str:
     """The function of the generators under each assumed fault."""
     outputs = ("r", "x_next")
     body = [*_lines(program, "{}[{}, h]"), *_stores(program, outputs, "{}[{}, h]")]
-    text = _function("hypotheses", ["z", "x", "table", *outputs], OF_HYPOTHESES, body, "        ")
+    text = _function("hypotheses", ["z", "x", "p", "table", *outputs], OF_HYPOTHESES, body, "        ")
     return text.replace("\n        ", "\n    for h in range(x.shape[1]):\n        ", 1)
+
+
+def numbers_of(program: Program | None) -> FloatArray:
+    """The constants that are the same in all rows, `p`."""
+    return np.array([node.value for node in program.nodes if _is_number(node)] if program is not None else [])
 
 
 def table_of(program: Program | None, rows: int) -> FloatArray:
@@ -52,16 +66,23 @@ def _function(name: str, arguments: Sequence[str], types: str, body: Iterable[st
     return decorator + f"def {name}({', '.join(arguments)}):\n" + "\n".join(indent + line for line in body) + "\n"
 
 
-NO_HYPOTHESES = _function("hypotheses", ["z", "x", "table", "r", "x_next"], OF_HYPOTHESES, ["pass"], "    ")
+NO_HYPOTHESES = _function("hypotheses", ["z", "x", "p", "table", "r", "x_next"], OF_HYPOTHESES, ["pass"], "    ")
+
+
+def _is_number(node: Node) -> bool:
+    return node.operator == "constant" and not (node.value == round(node.value) and abs(node.value) <= LITERAL)
 
 
 def _lines(program: Program, place: str) -> Iterator[str]:
     """An assignment for each scalar; `place` is how an element of an array is written."""
-    columns = 0
+    columns = numbers = 0
     for index, node in enumerate(program.nodes):
         if node.operator == "row":
             yield f"t{index} = table[{columns}, h]"
             columns += 1
+        elif _is_number(node):
+            yield f"t{index} = p[{numbers}]"
+            numbers += 1
         else:
             yield f"t{index} = {_text(node, place)}"
 

@@ -90,7 +90,8 @@ def test_element_by_element() -> None:
     raw = graph(ELEMENTWISE, {})
     z, x = RNG.normal(size=COLUMNS), RNG.normal(size=COLUMNS)
     out = [np.zeros(COLUMNS) for _ in OUTPUTS]
-    kernels_of(raw, None, 0).tests(z, x, *out)
+    kernels = kernels_of(raw, None, 0)
+    kernels.tests(z, x, kernels.of_tests, *out)
     np.testing.assert_allclose(out[0], of_runtime(raw, z[None], x[None])[0], rtol=1e-14)
     np.testing.assert_array_equal(out[3], x)
 
@@ -100,7 +101,7 @@ def test_rows_with_constants_of_their_own() -> None:
     z, x = RNG.normal(size=COLUMNS), RNG.normal(size=(COLUMNS, ROWS))
     r, x_next = np.zeros((COLUMNS, ROWS)), np.zeros((COLUMNS, ROWS))
     kernels = kernels_of(graph(ELEMENTWISE, {}), raw, ROWS)
-    kernels.hypotheses(z, x, kernels.table, r, x_next)
+    kernels.hypotheses(z, x, kernels.of_hypotheses, kernels.table, r, x_next)
     expected = of_runtime(raw, np.tile(z, (ROWS, 1)), np.ascontiguousarray(x.T))
     np.testing.assert_allclose(r.T, expected, rtol=1e-13, atol=1e-15)
 
