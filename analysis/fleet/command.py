@@ -13,13 +13,33 @@ from faultline.service.distribution import install_command
 from faultline.writing import write_file
 
 EXAMPLE = """example:
-  faultline fleet diagnose logs/ --bundle bundles/{vehicle} --out fleet
+  faultline fleet calibrate uds recordings/ --out made
+  faultline fleet tune 'made/vehicle={vehicle}/model.toml' recordings/ --out made -- --spread
+  faultline fleet diagnose logs/ --bundle 'made/vehicle={vehicle}/bundle' --out fleet
   faultline fleet diagnose 's3://logs/2026-*/' --bundle out/demo/bundle --out fleet --scheduler tcp://10.0.0.1:8786
 
 A drive is a recording's folder or a log file. Its vehicle is the one that the recording names, or the folder of the log
-file; {vehicle} in the bundle's path stands for it. What is done is found again: the same call goes on where it was.
-It exits as `faultline diagnose` of several logs does. The tables in --out: docs/fleet.md.
+file; {vehicle} in the path of a model or bundle stands for it. What is behind -- goes to each vehicle's command. What
+is done is found again: the same call goes on where it was. `diagnose` exits as `faultline diagnose` of several logs
+does, the others with 2 where the command failed for some vehicle. What is written: docs/fleet.md.
 """
+
+ORDERS = {
+    "calibrate": ("model", "calibrate a model to each vehicle: OUT/vehicle=NAME/model.toml"),
+    "tune": ("model", "tune each vehicle's thresholds and evidence: OUT/vehicle=NAME/tuning.json"),
+    "export": ("model", "export each vehicle's bundle, with the DBC of its recordings: OUT/vehicle=NAME/bundle"),
+    "evaluate": ("bundle", "evaluate each vehicle's bundle against the truth: OUT/vehicle=NAME/report"),
+    "train": ("model", "train networks of each vehicle: OUT/vehicle=NAME/networks"),
+}
+"""Commands that are run for every vehicle, with what each is about."""
+
+FILES = {
+    "calibrate": "model.toml",
+    "tune": "tuning.json",
+    "export": "bundle",
+    "evaluate": "report",
+    "train": "networks",
+}
 
 PIECE_BYTES = 4_000_000
 """Of logs in a piece of work, of 7 min a third."""
@@ -35,7 +55,11 @@ def main(argv: list[str]) -> int:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     _add_diagnose(commands)
     _add_show(commands)
-    options = parser.parse_args(argv)
+    for name, (subject, help_) in ORDERS.items():
+        _add_order(commands, name, subject, help_)
+    at = argv.index("--") if "--" in argv else len(argv)
+    options = parser.parse_args(argv[:at])
+    options.extra = tuple(argv[at + 1 :])
     try:
         run: Callable[[argparse.Namespace], int] = options.run
         return run(options)
@@ -62,6 +86,15 @@ def _add_show(commands: "argparse._SubParsersAction[Parser]") -> None:
     parser.add_argument("--html", type=Path, help="write it as a page here, too")
     parser.add_argument("--json", action="store_true", help="print the findings as JSON lines")
     parser.set_defaults(run=_show)
+
+
+def _add_order(commands: "argparse._SubParsersAction[Parser]", name: str, subject: str, help_: str) -> None:
+    parser = commands.add_parser(name, help=help_.partition(":")[0], description=help_, epilog=EXAMPLE)
+    parser.add_argument("subject", metavar=subject.upper(), help=f"the {subject}; {{vehicle}} stands for the vehicle")
+    parser.add_argument("drives", nargs="+", help="folders, globs or URLs of recordings")
+    parser.add_argument("--out", type=Path, required=True, help="the folder that gets a folder for each vehicle")
+    _add_cluster(parser)
+    parser.set_defaults(run=_order)
 
 
 def _add_cluster(parser: argparse.ArgumentParser) -> None:
@@ -120,3 +153,32 @@ def _show(options: argparse.Namespace) -> int:
     else:
         print(text_of(fleet))
     return 1 if fleet.standing else 0
+
+
+def _order(options: argparse.Namespace) -> int:
+    from faultline.analysis.fleet.cluster import cluster, worked
+    from faultline.analysis.fleet.drives import find_drives
+    from faultline.analysis.fleet.vehicles import Order, by_vehicle, lost, ordered
+
+    name, out = options.command, options.out.absolute()
+    option = "--report" if name == "evaluate" else "--out"
+    order = Order(name, options.subject, option, FILES[name], options.extra, out, takes_dbc=name == "export")
+    vehicles = by_vehicle(find_drives(options.drives))
+    codes: Counter[int] = Counter()
+    old, began = 0, time.monotonic()
+    with Progress(name) as progress, cluster(options.scheduler, options.processes) as client:
+        for piece, ended in worked(client, ordered, [[each] for each in vehicles], order):
+            for each in ended if ended is not None else lost(piece):
+                codes[each.code] += 1
+                old += each.is_old
+                if each.code:
+                    progress.note(f"{each.vehicle}: exit code {each.code}: {each.said}")
+            left_s = (time.monotonic() - began) / codes.total() * (len(vehicles) - codes.total())
+            progress.say(f"{codes.total()} of {len(vehicles)} vehicles, {left_s:.0f} s left")
+    failed = codes.total() - codes[0]
+    print(f"{len(vehicles)} vehicles: {codes[0]} done, {failed} not; {old} of them done before; in {options.out}")
+    if failed:
+        raise InputError(
+            f"{name} ended with an error for {failed} of {len(vehicles)} vehicles; {name}.txt of each says why"
+        )
+    return 0

@@ -15,7 +15,7 @@ from faultline.analysis.compiled.elements import NotCompiledError
 from faultline.analysis.compiled.evaluator import CompiledEvaluator, kernels_of_bundle
 from faultline.analysis.compiled.kernels import Kernels
 from faultline.analysis.fleet import tables
-from faultline.analysis.fleet.drives import Drive, at_hand, date_of, digest, start_of
+from faultline.analysis.fleet.drives import Drive, at_hand, date_of, digest, safe, start_of
 from faultline.service.bundle.files import whole
 from faultline.service.bundle.load import Bundle, check_fits, load_bundle, verify_golden
 from faultline.service.core.errors import InputError
@@ -28,7 +28,7 @@ from faultline.service.logs import Log, open_log
 from faultline.service.logs.recording import load_recording
 
 VEHICLE = "{vehicle}"
-"""In the bundle's path: the name of the drive's vehicle."""
+"""In the bundle's path: the name of the drive's vehicle, as in the names of folders."""
 
 FAILED = "failed"
 FORM = "1"
@@ -77,7 +77,7 @@ def _diagnosed(drive: Drive, wish: Wish) -> Outcome:
     try:
         with at_hand(drive) as path:
             vehicle = load_recording(path).vehicle if drive.is_folder else vehicle
-            folder = Path(wish.bundle.replace(VEHICLE, vehicle))
+            folder = Path(wish.bundle.replace(VEHICLE, safe(vehicle)))
             key = _key(digest(path), _bundle_id(folder), vehicle)
             if there := tables.files_of(wish.out, vehicle, key):
                 verdict, hours = tables.verdict_in(there[0])

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import quote
 
 from fsspec.core import url_to_fs
 
@@ -121,6 +122,15 @@ def start_of(log: Log) -> datetime | None:
         start = log.recording.start
         return start.replace(tzinfo=UTC) if start.tzinfo is None else start.astimezone(UTC)
     return datetime.fromtimestamp(log.start_s, UTC) if log.start_s >= EPOCH_S else None
+
+
+def safe(vehicle: str) -> str:
+    """Return a vehicle's name as it is in names of folders.
+
+    >>> safe("truck 7/b")
+    'truck%207%2Fb'
+    """
+    return quote(vehicle, safe="")
 
 
 def date_of(start: datetime | None) -> date | None:

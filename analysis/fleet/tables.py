@@ -10,11 +10,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 import pyarrow
 from pyarrow import dataset, parquet
 
+from faultline.analysis.fleet.drives import safe
 from faultline.writing import written_whole
 
 DRIVES, EVENTS = "drives", "events"
@@ -79,12 +79,12 @@ def place_of(out: Path, table: str, vehicle: str, day: date | None, key: str) ->
     'out/drives/vehicle=truck%207/date=__HIVE_DEFAULT_PARTITION__/ab12.parquet'
     """
     when = UNDATED if day is None else day.isoformat()
-    return out / table / f"vehicle={quote(vehicle, safe='')}" / f"date={when}" / f"{key}.parquet"
+    return out / table / f"vehicle={safe(vehicle)}" / f"date={when}" / f"{key}.parquet"
 
 
 def files_of(out: Path, vehicle: str, key: str) -> list[Path]:
     """Return the file of a drive, if it is there, whatever its date."""
-    return sorted((out / DRIVES / f"vehicle={quote(vehicle, safe='')}").glob(f"date=*/{key}.parquet"))
+    return sorted((out / DRIVES / f"vehicle={safe(vehicle)}").glob(f"date=*/{key}.parquet"))
 
 
 def write(path: Path, schema: pyarrow.Schema, rows: Sequence[Row]) -> None:

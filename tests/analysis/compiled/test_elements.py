@@ -133,6 +133,15 @@ def test_networks_are_refused() -> None:
         program_of(graph([node("Gather", "z", "k", "r", axis=1)], {"k": np.arange(COLUMNS)}), 1)
 
 
+def test_vehicles_of_other_parameters_share_what_is_compiled() -> None:
+    def scaled(by: float) -> bytes:
+        return graph([node("Mul", "z", "by", "r")], {"by": np.full((1, COLUMNS), by)})
+
+    one, other = kernels_of(scaled(0.3), None, 0), kernels_of(scaled(0.7), None, 0)
+    assert one.tests.__module__ == other.tests.__module__
+    assert (one.of_tests.tolist(), other.of_tests.tolist()) == ([0.3], [0.7])
+
+
 def test_a_second_process_only_loads(tmp_path: Path) -> None:
     raw = graph(ELEMENTWISE, {})
     first = kernels_of(raw, None, 0)

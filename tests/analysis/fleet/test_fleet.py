@@ -19,6 +19,7 @@ from faultline.analysis.fleet.diagnosing import Wish, diagnosed
 from faultline.analysis.fleet.drives import find_drives
 from faultline.analysis.fleet.findings import Fleet, fleet_of
 from faultline.analysis.fleet.page import page_of, sentence, text_of
+from faultline.analysis.fleet.vehicles import Order, by_vehicle, ordered
 from faultline.service.core.errors import InputError
 
 GOLDEN = Path(__file__).parents[2] / "golden"
@@ -140,6 +141,53 @@ def test_a_bundle_for_each_vehicle(logs: Path, tmp_path: Path) -> None:
     found = diagnosed(drives, Wish(str(tmp_path / "bundles" / "{vehicle}"), tmp_path / "out"))
     assert [outcome.verdict for outcome in found] == ["fault", "failed"]
     assert "bundles/b" in next(row["reason"] for row in tables.drives(tmp_path / "out") if row["vehicle"] == "b")
+
+
+def test_the_same_command_for_each_vehicle(logs: Path, tmp_path: Path) -> None:
+    """Any command that takes recordings and writes a file will do; this one ends with 1, as there is a fault."""
+    vehicles = by_vehicle(find_drives([str(logs / "first"), str(logs / "short")]))
+    assert [vehicle for vehicle, _ in vehicles] == ["a", "b"]
+    extra = ("--bundle", str(tmp_path / "bundles" / "{vehicle}"))
+    shutil.copytree(GOLDEN / "bundle", tmp_path / "bundles" / "a")
+    order = Order("diagnose", str(GOLDEN / "log"), "--out", "ticks.parquet", extra, tmp_path / "out")
+    a, b = ordered(vehicles, order)
+    assert (a.code, a.is_old) == (1, False)
+    assert b.code == 2
+    assert "gave no verdict" in b.said
+    assert "bundles/b" in (tmp_path / "out" / "vehicle=b" / "diagnose.txt").read_text()
+    table = tmp_path / "out" / "vehicle=a" / "ticks.parquet"
+    assert set(parquet.read_table(table)["recording"].to_pylist()) > {"a-1"}
+    again, failed = ordered(vehicles, order)
+    assert again.is_old
+    assert not failed.is_old
+    shutil.rmtree(tmp_path / "bundles" / "a")
+    before = table.read_bytes()
+    gone, _ = ordered(vehicles, order)
+    assert gone.code == 2
+    assert table.read_bytes() == before, "what was there is not lost to a command that fails"
+
+
+def test_orders_take_recordings_only(logs: Path) -> None:
+    with pytest.raises(InputError, match="is no recording"):
+        by_vehicle(find_drives([str(logs / "d" / "drive.log")]))
+
+
+def test_a_command_that_fails_for_a_vehicle_is_an_error(
+    logs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["no-model", str(logs / "first"), "--out", str(tmp_path), "--processes", "1"]
+    with pytest.raises(InputError, match="calibrate ended with an error for 1 of 1 vehicles"):
+        main(["calibrate", *given])
+    assert "no-model" in capsys.readouterr().err
+    assert "no-model" in (tmp_path / "vehicle=a" / "calibrate.txt").read_text()
+
+
+def test_an_export_takes_the_dbc_of_its_recordings(logs: Path, tmp_path: Path) -> None:
+    order = Order("export", "m/{vehicle}.toml", "--out", "bundle", ("--force",), tmp_path, takes_dbc=True)
+    dbc = next((logs / "first").glob("*.dbc"))
+    target = tmp_path / "vehicle=a%2Fb" / "bundle"
+    expected = ["export", "m/a%2Fb.toml", "--dbc", str(dbc), "--out", str(target), "--force"]
+    assert order.arguments("a/b", [logs / "first"]) == expected
 
 
 def test_nothing_there_is_an_error(tmp_path: Path) -> None:
