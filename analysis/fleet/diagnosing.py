@@ -25,7 +25,7 @@ from faultline.service.core.records.line import encode
 from faultline.service.core.verdict import Verdict
 from faultline.service.distribution import installed_version
 from faultline.service.logs import Log, open_log
-from faultline.service.logs.recording import load_recording
+from faultline.service.logs.recording import is_simulated, load_recording
 
 VEHICLE = "{vehicle}"
 """In the bundle's path: the name of the drive's vehicle, as in the names of folders."""
@@ -158,6 +158,7 @@ def _rows(log: Log, bundle: Bundle) -> tuple[dict[str, Any], list[dict[str, Any]
         "occurred_s": None if first is None else first.t_s,
         "since_s": since,
         "diagnoses": _diagnoses(verdict.diagnoses, components) if found else [],
+        "simulated": log.recording is not None and is_simulated(log.recording.source),
         "native": kernels is not None,
     }, events
 

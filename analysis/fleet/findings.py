@@ -36,13 +36,17 @@ class Finding(NamedTuple):
 
 
 class Fleet(NamedTuple):
-    """The findings of all vehicles, those that stand first; drives by verdict; vehicles without a verdict, and why."""
+    """The findings of all vehicles, those that stand first; drives by verdict; vehicles without a verdict, and why.
+
+    `simulated` drives are of no vehicle.
+    """
 
     vehicles: int
     hours: float
     verdicts: Counter[str]
     findings: list[Finding]
     silent: dict[str, str]
+    simulated: int
 
     @property
     def standing(self) -> list[Finding]:
@@ -60,18 +64,19 @@ def fleet_of(rows: Iterable[Row]) -> Fleet:
     findings: list[Finding] = []
     verdicts: Counter[str] = Counter()
     silent: dict[str, str] = {}
-    vehicles, span_s = 0, 0.0
+    vehicles, span_s, simulated = 0, 0.0, 0
     for vehicle, drives in groupby(rows, key=lambda row: str(row["vehicle"])):
         own = list(drives)
         vehicles += 1
         span_s += sum(row["span_s"] or 0.0 for row in own)
+        simulated += sum(bool(row["simulated"]) for row in own)
         verdicts.update(row["verdict"] for row in own)
         told = [row for row in own if row["verdict"] in ("fault", "no fault")]
         if not told:
             silent[vehicle] = own[-1]["reason"]
         findings += _findings(vehicle, told)
     findings.sort(key=lambda each: (not each.stands, -(each.p or 0.0), each.vehicle))
-    return Fleet(vehicles, span_s / 3600.0, verdicts, findings, silent)
+    return Fleet(vehicles, span_s / 3600.0, verdicts, findings, silent, simulated)
 
 
 def _findings(vehicle: str, drives: Sequence[Row]) -> list[Finding]:

@@ -41,8 +41,9 @@ def page_of(fleet: Fleet) -> str:
 def sentence(fleet: Fleet) -> str:
     """Return the verdict on a fleet in a sentence."""
     having = len({each.vehicle for each in fleet.standing})
+    made = f" {fleet.simulated} of {fleet.verdicts.total()} drives are simulated." if fleet.simulated else ""
     nothing = f"; of {len(fleet.silent)} nothing is known" if fleet.silent else ""
-    return f"{having} of {fleet.vehicles} vehicles have a fault, by {fleet.hours:.1f} hours of driving{nothing}."
+    return f"{having} of {fleet.vehicles} vehicles have a fault, by {fleet.hours:.1f} hours of driving{nothing}.{made}"
 
 
 def text_of(fleet: Fleet) -> str:

@@ -49,6 +49,7 @@ DRIVE = pyarrow.schema(
         ("occurred_s", _FLOAT),
         ("since_s", _FLOAT),
         ("diagnoses", _DIAGNOSES),
+        ("simulated", pyarrow.bool_()),
         ("native", pyarrow.bool_()),
         ("cpu_s", _FLOAT),
         ("version", _TEXT),

@@ -110,6 +110,7 @@ def test_which_vehicles_which_components_since_when_how_sure(fleet: Fleet, out: 
     assert d.vehicle == "d"
     assert set(fleet.silent) == {"b", "c"}
     assert sentence(fleet).startswith("2 of 4 vehicles have a fault")
+    assert sentence(fleet).endswith("3 of 5 drives are simulated.")
     assert f"a        {FAULT}" in text_of(fleet)
     assert page_of(fleet).count(FAULT) >= 3
     assert main(["show", str(out), "--html", str(tmp_path / "fleet.html")]) == 1
