@@ -12,6 +12,7 @@ from j1939_bench import codes, name
 from ports import multicast
 
 from faultline.service.bus import BusError
+from faultline.service.bus.base import QUEUE
 from faultline.service.bus.interface import Interface
 from faultline.service.core.j1939.identifiers import ADDRESS_CLAIMED, DM1
 from faultline.service.core.signals.decode import Wanted
@@ -42,6 +43,10 @@ class Kernel:
 
     def setsockopt(self, level: int, option: int, value: object) -> None:
         self.options.append((level, option, value))
+
+    def getsockopt(self, _level: int, option: int) -> int:
+        assert option == socket.SO_RCVBUF
+        return QUEUE
 
     def setblocking(self, flag: bool) -> None:
         assert not flag
