@@ -169,7 +169,7 @@ def _middle(values: FloatArray) -> float:
 
 @njit(cache=True)
 def _holds(z: FloatArray, above: FloatArray, below: FloatArray) -> bool:
-    """Whether samples (nz,) are in a region."""
+    """Return True if samples (nz,) are in a region."""
     holds = True
     for i in range(len(z)):
         holds = holds and not (z[i] <= above[i] or z[i] >= below[i])
@@ -201,7 +201,7 @@ def modes(state: ModesState, usable: Flags, gated: Gated, found: Ints) -> None:
 
 @njit(cache=True)
 def _known_and_edge(state: ModesState, z: FloatArray, usable: Flags, jumped: Flags) -> tuple[bool, bool]:
-    """Whether all signals of the modes' bounds are usable, and whether some signal steps."""
+    """Return whether all signals of the modes' bounds are usable, and whether some signal steps."""
     known, is_edge = True, False
     for i in range(len(z)):
         known = known and (usable[i] or not state.needed[i])
@@ -244,7 +244,7 @@ def advance(
 
 @njit(cache=True)
 def _shift(row: Row, weighed: Ints, shift: FloatArray) -> None:
-    """What each hypothesis does to the residuals (H, K); nothing where it could not be computed."""
+    """Fill in what each hypothesis does to the residuals (H, K): nothing where it could not be computed."""
     for h in range(shift.shape[0]):
         good = _good(row, h)
         for k in range(shift.shape[1]):
@@ -253,7 +253,7 @@ def _shift(row: Row, weighed: Ints, shift: FloatArray) -> None:
 
 @njit(cache=True)
 def _good(row: Row, h: int) -> bool:
-    """Whether a hypothesis could be computed."""
+    """Return True if a hypothesis could be computed."""
     nothing = 0.0  # a finite number less itself
     for k in range(len(row.assumed)):
         nothing += row.assumed[k, h] - row.assumed[k, h]

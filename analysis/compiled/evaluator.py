@@ -80,18 +80,13 @@ class CompiledEvaluator:
         )
 
 
-def compiled(bundle: Bundle) -> CompiledEvaluator:
-    """Return the bundle's evaluator, of which the functions are compiled if they never were.
+def kernels_of_bundle(bundle: Bundle) -> Kernels:
+    """Return the functions of a bundle's graphs, compiled if they never were.
 
     Raises:
         NotCompiledError: the bundle has networks, or a graph with an operation that is not made into native code.
         OSError: the user's cache cannot be written.
     """
-    return CompiledEvaluator(bundle.manifest, kernels_of_bundle(bundle))
-
-
-def kernels_of_bundle(bundle: Bundle) -> Kernels:
-    """Return the functions of a bundle's graphs; the same errors."""
     graphs = {generator.graph for generator in bundle.manifest.generators}
     if len(graphs) > 1:
         raise NotCompiledError(f"residual generators of {len(graphs)} graphs, and one is compiled")

@@ -15,7 +15,7 @@ from faultline.analysis.compiled.elements import NotCompiledError
 from faultline.analysis.compiled.evaluator import CompiledEvaluator, kernels_of_bundle
 from faultline.analysis.compiled.kernels import Kernels
 from faultline.analysis.fleet import tables
-from faultline.analysis.fleet.drives import Drive, at_hand, date_of, digest, safe, start_of
+from faultline.analysis.fleet.drives import VEHICLE, Drive, at_hand, date_of, digest, safe, start_of
 from faultline.service.bundle.files import whole
 from faultline.service.bundle.load import Bundle, check_fits, load_bundle, verify_golden
 from faultline.service.core.errors import InputError
@@ -26,9 +26,6 @@ from faultline.service.core.verdict import Verdict
 from faultline.service.distribution import installed_version
 from faultline.service.logs import Log, open_log
 from faultline.service.logs.recording import is_simulated, load_recording
-
-VEHICLE = "{vehicle}"
-"""In the bundle's path: the name of the drive's vehicle, as in the names of folders."""
 
 FAILED = "failed"
 FORM = "1"
@@ -68,7 +65,7 @@ def lost(drives: Sequence[Drive], wish: Wish) -> list[Outcome]:
         OSError: one cannot be written.
     """
     reason = "the workers that were at it died: too little memory?"
-    return [_write(wish, drive, drive.folder_name, _key(drive.url, wish.bundle), _failed(reason)) for drive in drives]
+    return [_write(wish, drive, drive.folder_name, _unread(drive, wish), _failed(reason)) for drive in drives]
 
 
 def _diagnosed(drive: Drive, wish: Wish) -> Outcome:
@@ -87,7 +84,7 @@ def _diagnosed(drive: Drive, wish: Wish) -> Outcome:
     except Exception as error:  # noqa: BLE001  of thousands of logs one must not end the others: the row says it
         known = isinstance(error, InputError | OSError)
         made = _failed(str(error) if known else f"a defect of faultline, please report it: {error!r}")
-        key = key or _key(drive.url, wish.bundle, vehicle)
+        key = key or _unread(drive, wish)
     made.row["cpu_s"] = time.process_time() - began
     return _write(wish, drive, vehicle, key, made)
 
@@ -106,7 +103,8 @@ def _failed(reason: str) -> _Made:
 
 def _write(wish: Wish, drive: Drive, vehicle: str, key: str, made: _Made) -> Outcome:
     """Write the rows of a drive in place of those that may be there."""
-    for old in tables.files_of(wish.out, vehicle, key):
+    places = [(vehicle, key), (vehicle, _unread(drive, wish)), (drive.folder_name, _unread(drive, wish))]
+    for old in [path for place in places for path in tables.files_of(wish.out, *place)]:
         old.unlink(missing_ok=True)
     where = vehicle, date_of(made.start), key
     if made.events:
@@ -187,6 +185,11 @@ def _diagnoses(diagnoses: Sequence[Diagnosis], components: Mapping[str, str]) ->
         }
         for row in rows
     ]
+
+
+def _unread(drive: Drive, wish: Wish) -> str:
+    """The key of a drive that could not be read, or has no bundle: of its address, in place of its content."""
+    return _key(drive.url, wish.bundle)
 
 
 def _key(*parts: str) -> str:

@@ -20,6 +20,9 @@ from faultline.service.logs.recording import FILE
 ENDINGS = frozenset({".log", ".asc", ".blf", ".trc", ".mf4", ".parquet", ".csv", ".db"})
 """Of log files, before a `.gz`, where a folder is searched; a file that is named itself may have any."""
 
+VEHICLE = "{vehicle}"
+"""In paths and arguments: the name of a vehicle, as in the names of folders (`safe`)."""
+
 EPOCH_S = 1e8
 """From here on times of a log are wall clock: seconds since 1970, of 1973 or later."""
 
@@ -109,11 +112,6 @@ def digest(path: Path) -> str:
             while block := opened.read(1 << 20):
                 whole.update(block)
     return whole.hexdigest()
-
-
-def vehicle_of(drive: Drive, log: Log) -> str:
-    """Return the vehicle that a recording names, or the name of the folder that a log file lies in."""
-    return log.recording.vehicle if log.recording is not None else drive.folder_name
 
 
 def start_of(log: Log) -> datetime | None:

@@ -1,8 +1,7 @@
 """The same command for every vehicle of a fleet with its own recordings, each in a process of its own.
 
-OUT/vehicle=truck-17/FILE       what the command writes
-OUT/vehicle=truck-17/said.txt   what it said
-OUT/vehicle=truck-17/done.json  how it ended, and of what: the same is not done again
+In `OUT/vehicle=truck-17/` are what the command writes, what it said (`COMMAND.txt`), and how it ended and of what
+(`COMMAND.json`): the same is not done again.
 """
 
 import hashlib
@@ -17,14 +16,11 @@ from pathlib import Path
 
 import msgspec
 
-from faultline.analysis.fleet.drives import Drive, at_hand, digest, safe
+from faultline.analysis.fleet.drives import VEHICLE, Drive, at_hand, digest, safe
 from faultline.service.distribution import installed_version
 from faultline.service.logs import LogError
 from faultline.service.logs.recording import load_recording
 from faultline.writing import write_files
-
-VEHICLE = "{vehicle}"
-"""In an argument: the vehicle's name, as in the names of folders."""
 
 RUN = "import sys; from faultline.service.cli import main; sys.exit(main())"
 

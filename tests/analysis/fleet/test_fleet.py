@@ -15,7 +15,7 @@ from pyarrow import parquet
 from faultline.analysis.fleet import tables
 from faultline.analysis.fleet.cluster import cluster, pieces_of, worked
 from faultline.analysis.fleet.command import main
-from faultline.analysis.fleet.diagnosing import Wish, diagnosed
+from faultline.analysis.fleet.diagnosing import Wish, _bundle_id, diagnosed
 from faultline.analysis.fleet.drives import find_drives
 from faultline.analysis.fleet.findings import Fleet, fleet_of
 from faultline.analysis.fleet.page import page_of, sentence, text_of
@@ -189,6 +189,15 @@ def test_an_export_takes_the_dbc_of_its_recordings(logs: Path, tmp_path: Path) -
     target = tmp_path / "vehicle=a%2Fb" / "bundle"
     expected = ["export", "m/a%2Fb.toml", "--dbc", str(dbc), "--out", str(target), "--force"]
     assert order.arguments("a/b", [logs / "first"]) == expected
+
+
+def test_a_drive_that_had_no_bundle_is_one_row_once_it_has(logs: Path, tmp_path: Path) -> None:
+    drives, wish = find_drives([str(logs / "first")]), Wish(str(tmp_path / "bundle"), tmp_path / "out")
+    assert [outcome.verdict for outcome in diagnosed(drives, wish)] == ["failed"]
+    shutil.copytree(GOLDEN / "bundle", tmp_path / "bundle")
+    _bundle_id.cache_clear()
+    assert [outcome.verdict for outcome in diagnosed(drives, wish)] == ["fault"]
+    assert [row["verdict"] for row in tables.drives(tmp_path / "out")] == ["fault"]
 
 
 def test_nothing_there_is_an_error(tmp_path: Path) -> None:
