@@ -31,7 +31,7 @@ from ports import free_port
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 FAULTLINE = str(Path(sys.executable).with_name("faultline"))
 SPEED = 20.0
-READY_S, CAUGHT_UP_S = 30.0, 60.0
+READY_S, RECORDS_S, CAUGHT_UP_S = 30.0, 120.0, 60.0
 
 
 class Heard(NamedTuple):
@@ -211,11 +211,16 @@ class Outcome(NamedTuple):
 
 
 def killed(
-    folder: Path, kills: int, seed: int, undisturbed_s: float = 5.0, say: Callable[[str], None] = print
+    folder: Path,
+    kills: int,
+    seed: int,
+    undisturbed_s: float = 5.0,
+    records: int = 1,
+    say: Callable[[str], None] = print,
 ) -> Outcome:
     """So many kills, each of a process drawn by chance (the daemon twice as often), at instants drawn by chance.
 
-    After them it runs for `undisturbed_s` [s].
+    After them it runs for `undisturbed_s` [s], and on until there are `records` of them: a busy machine needs longer.
     """
     chance = np.random.default_rng(seed)
     chain = Chain(folder, SPEED)
@@ -237,6 +242,7 @@ def killed(
             if turn % 20 == 19:
                 say(f"{turn + 1} of {kills}, {len(subscribers['socket'].heard)} heard")
         time.sleep(undisturbed_s)
+        _until(lambda: len(subscribers["socket"].heard) >= records, RECORDS_S, f"{records} records")
         chain.quiet()
         last, since = subscribers["socket"].last, time.monotonic()
         while time.monotonic() - since < 5.0:  # until nothing comes any more
