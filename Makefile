@@ -7,7 +7,7 @@ VEHICLE := .venv-vehicle/bin
 
 CAMPAIGNS := $(addprefix campaign-, recordings discrepancy ablations training diagnosis stories false-alarms rivals \
 	endurance mutation compose alarms clients power screenshots emps logs proposals experiments families time-constants ladder \
-	undeclared dirty clairvoyant transfer scarce)
+	undeclared dirty clairvoyant transfer scarce one-drive aarch64)
 .PHONY: demo test check lint bench clean $(CAMPAIGNS)
 test check $(CAMPAIGNS): export OPENBLAS_NUM_THREADS := 1  # two or three processes share the two cores
 
@@ -79,6 +79,12 @@ campaign-clairvoyant: .venv/.test  ## is the limit one, beside who knows fault, 
 
 campaign-transfer: .venv/.test  ## networks of the bench on ten trucks, adapted to 2, 5 and 10 minutes; an hour; writes docs/results
 	@$(BIN)/python tests/campaigns/transfer.py
+
+campaign-one-drive: .venv/.test  ## a vehicle tuned with one drive and a fleet, ten trucks; two hours; writes docs/results
+	@$(BIN)/python tests/campaigns/one_drive.py
+
+campaign-aarch64: .venv/.test  ## the golden bundle on an emulated ARM processor; fetches 150 MB, minutes; writes docs/results
+	@$(BIN)/python tests/campaigns/aarch64.py
 
 campaign-scarce: .venv/.test  ## equations and networks from 2, 5 and 20 minutes, four trucks; two hours; writes docs/results
 	@$(BIN)/python tests/campaigns/scarce.py

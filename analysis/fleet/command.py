@@ -5,6 +5,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from faultline.analysis.progress import Progress
 from faultline.options import Parser
@@ -12,9 +13,13 @@ from faultline.service.core.errors import InputError
 from faultline.service.distribution import install_command
 from faultline.writing import write_file
 
+if TYPE_CHECKING:
+    from faultline.analysis.fleet.vehicles import Order
+
 EXAMPLE = """example:
   faultline fleet calibrate uds recordings/ --out made
   faultline fleet tune 'made/vehicle={vehicle}/model.toml' recordings/ --out made -- --spread
+  faultline tune new/model.toml new/drive --fleet made/fleet.json --out new/tuning.json
   faultline fleet diagnose logs/ --bundle 'made/vehicle={vehicle}/bundle' --out fleet
   faultline fleet diagnose 's3://logs/2026-*/' --bundle out/demo/bundle --out fleet --scheduler tcp://10.0.0.1:8786
 
@@ -26,7 +31,10 @@ does, the others with 2 where the command failed for some vehicle. What is writt
 
 ORDERS = {
     "calibrate": ("model", "calibrate a model to each vehicle: OUT/vehicle=NAME/model.toml"),
-    "tune": ("model", "tune each vehicle's thresholds and evidence: OUT/vehicle=NAME/tuning.json"),
+    "tune": (
+        "model",
+        "tune each vehicle's thresholds and evidence: OUT/vehicle=NAME/tuning.json, and OUT/fleet.json of all",
+    ),
     "export": ("model", "export each vehicle's bundle, with the DBC of its recordings: OUT/vehicle=NAME/bundle"),
     "evaluate": ("bundle", "evaluate each vehicle's bundle against the truth: OUT/vehicle=NAME/report"),
     "train": ("model", "train networks of each vehicle: OUT/vehicle=NAME/networks"),
@@ -155,6 +163,19 @@ def _show(options: argparse.Namespace) -> int:
     return 1 if fleet.standing else 0
 
 
+def _pooled(order: "Order", vehicles: list[str]) -> str:
+    from faultline.analysis.fleet.pooling import pool
+    from faultline.analysis.fleet.vehicles import done
+
+    tuned = {}
+    for vehicle in vehicles:
+        ended = done(order.folder(vehicle), order.command)
+        if ended is not None and ended.code == 0:
+            tuned[vehicle] = order.folder(vehicle) / order.file
+    model = order.arguments(next(iter(tuned)), [])[1]
+    return pool(tuned, model, order.out, print)
+
+
 def _order(options: argparse.Namespace) -> int:
     from faultline.analysis.fleet.cluster import cluster, worked
     from faultline.analysis.fleet.drives import find_drives
@@ -177,6 +198,8 @@ def _order(options: argparse.Namespace) -> int:
             progress.say(f"{codes.total()} of {len(vehicles)} vehicles, {left_s:.0f} s left")
     failed = codes.total() - codes[0]
     print(f"{len(vehicles)} vehicles: {codes[0]} done, {failed} not; {old} of them done before; in {options.out}")
+    if name == "tune" and codes[0]:
+        print(_pooled(order, [vehicle for vehicle, _ in vehicles]))
     if failed:
         raise InputError(
             f"{name} ended with an error for {failed} of {len(vehicles)} vehicles; {name}.txt of each says why"

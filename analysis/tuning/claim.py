@@ -16,6 +16,7 @@ import numpy.typing as npt
 from scipy.special import gammaincinv
 
 from faultline.analysis.tuning.baselines import without_baseline
+from faultline.analysis.tuning.evaluators import evaluator_of
 from faultline.analysis.tuning.target import CONFIDENCE, RESAMPLES, SEED, Rule, Trace, factor_for, levels, scaled, trace
 from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, more_of, tune_detectors
 from faultline.analysis.tuning.vehicles import (
@@ -31,7 +32,7 @@ from faultline.analysis.tuning.vehicles import (
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.decision.offsets import shifted
 from faultline.service.core.manifest import Claim, Count, Detector, Evidence, Manifest
-from faultline.service.core.residuals.generators import Generators
+from faultline.service.core.residuals.evaluator import Evaluator
 
 Array = npt.NDArray[np.float64]
 
@@ -132,9 +133,9 @@ def thresholds(
     others = [[*blocks[:index], *blocks[index + 1 :]] or blocks for index in range(len(each_level))]
     of_others = [factor_for(target, other) for other in others]
     return Thresholds(
-        whole=Found(scaled(whole, factor.value), evidence, sizes),
+        whole=Found(rule.no_lower(scaled(whole, factor.value)), evidence, sizes),
         of_folds=[
-            Found(scaled(level, other.value), *own)
+            Found(rule.no_lower(scaled(level, other.value)), *own)
             for level, other, own in zip(each_level, of_others, of_folds, strict=True)
         ],
         extrapolated=factor.extrapolated or any(other.extrapolated for other in of_others),
@@ -143,16 +144,16 @@ def thresholds(
 
 def _usual(vehicles: Sequence[Vehicle], rule: Rule, to: Array, evidence: Evidence) -> list[Detector]:
     seen = [without_baseline(s, evidence, rule.generators) for s in pooled_left_out(vehicles, to, rule.stand_ins)]
-    return tune_detectors(rule.generators, seen, rule.floor, rule.stand_ins, rule.kinds, to)
+    return rule.no_lower(tune_detectors(rule.generators, seen, rule.floor, rule.stand_ins, rule.kinds, to))
 
 
-def told(manifest: Manifest, drive: Drive, generators: Generators) -> tuple[int, int]:
-    """Suspicions and confirmed diagnoses in a drive, its samples taken through fresh generators again."""
+def told(manifest: Manifest, drive: Drive, evaluator: Evaluator) -> tuple[int, int]:
+    """Suspicions and confirmed diagnoses in a drive, its samples evaluated afresh."""
     decision = Decision(manifest)
     suspicions = diagnoses = 0
     suspected = diagnosed = False
-    for tick in drive.ticks:
-        residuals = generators.step(tick.z, tick.usable, tick.ages)
+    z, usable, ages = (np.array([getattr(tick, name) for tick in drive.ticks]) for name in ("z", "usable", "ages"))
+    for tick, (_, residuals) in zip(drive.ticks, evaluator.evaluate(z, usable, ages), strict=True):
         decision.update(tick.number, tick.mode, residuals)
         suspicions += decision.suspicious and not suspected
         suspected = decision.suspicious
@@ -169,7 +170,7 @@ def count(left_out: Sequence[Fold], manifests: Sequence[Manifest], to: Array, sa
         for drive, offset in fold.test:
             say(f"{drive.seen.name}, left out")
             moved_there = shifted(manifest, offset - to)
-            counts[index] += told(moved_there, drive, fold.vehicle.runnable.fresh(moved_there.evidence))
+            counts[index] += told(moved_there, drive, evaluator_of(fold.vehicle.runnable, moved_there))
     return counts
 
 

@@ -1,6 +1,7 @@
 """Set thresholds and ranking evidence from fault-free recordings."""
 
 import argparse
+import hashlib
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,9 +24,12 @@ from faultline.analysis.tuning.claim import Found, claim, count, folds, threshol
 from faultline.analysis.tuning.evidence import gather, with_networks, with_sigma
 from faultline.analysis.tuning.file import SCHEMA, Tuning, model_digest
 from faultline.analysis.tuning.kinds import LEVEL_KINDS, Kind
+from faultline.analysis.tuning.known import known_of, statistics
 from faultline.analysis.tuning.manifest import manifest_of
+from faultline.analysis.tuning.moves import Moves
 from faultline.analysis.tuning.numbers import widest
 from faultline.analysis.tuning.plausible import doubts
+from faultline.analysis.tuning.prior import Known
 from faultline.analysis.tuning.target import Rule
 from faultline.analysis.tuning.unfit import unfit
 from faultline.analysis.tuning.vehicles import Vehicle, check_modes, offsets, pooled, pooled_left_out, read
@@ -61,7 +65,7 @@ def main(argv: list[str]) -> int:
             tuning = adapt(runnable, options.recording, options.adapt, progress)
         else:
             kinds: tuple[Kind, ...] = (options.detector, "spread") if options.spread else (options.detector,)
-            given = Given(also=also, target=options.target, kinds=kinds, claim=True)
+            given = Given(also=also, target=options.target, kinds=kinds, claim=True, fleet=options.fleet)
             tuning = tune(runnable, options.recording, progress, given)
     write_file(options.out, msgspec.json.encode(tuning))
     for line in runnable.bank.notes() if options.json else []:
@@ -98,6 +102,12 @@ def _parser() -> argparse.ArgumentParser:
         help="keep this tuning of other vehicles, find this one's offsets and drifts only",
     )
     parser.add_argument(
+        "--fleet",
+        type=Path,
+        metavar="FILE",
+        help="what `faultline fleet tune` has learned of other vehicles: one drive of this one is enough",
+    )
+    parser.add_argument(
         "--networks", type=Path, metavar="DIR", help="networks besides, as `faultline train` wrote them"
     )
     parser.add_argument("--out", type=Path, required=True, help="where to write the tuning file")
@@ -114,8 +124,11 @@ def _check(options: argparse.Namespace) -> None:
             raise InputError(f"--also {also[0]}: no recording of that vehicle; give its model file and its drives")
     if options.also and options.networks:
         raise InputError("--also with --networks: networks are of one vehicle only; leave one of them out")
+    if options.also and options.fleet:
+        raise InputError("--also with --fleet: the fleet says what other vehicles show; leave one of them out")
     set_by_base = {
         "--also": options.also,
+        "--fleet": options.fleet,
         "--target": options.target,
         "--spread": options.spread,
         "--networks": options.networks,
@@ -133,14 +146,15 @@ def _runnable(model: str, networks: Path | None) -> Runnable:
 class Given:
     """What may be asked of a tuning besides.
 
-    Other vehicles with their recordings, a target of suspicions [1/h], the kinds of detectors, and whether to count
-    false alarms on drives left out.
+    Other vehicles with their recordings, a target of suspicions [1/h], the kinds of detectors, whether to count
+    false alarms on drives left out, and the file of a fleet that says what to expect of the vehicle.
     """
 
     also: Sequence[tuple[Runnable, Sequence[Path]]] = ()
     target: float | None = None
     kinds: Sequence[Kind] = ("cusum",)
     claim: bool = False
+    fleet: Path | None = None
 
 
 def tune(runnable: Runnable, recordings: Sequence[Path], progress: Progress, given: Given = Given()) -> Tuning:
@@ -167,16 +181,27 @@ def tune_on(vehicles: Sequence[Vehicle], given: Given, progress: Progress) -> Tu
     """The same of drives that have been read."""
     runnable = vehicles[0].runnable
     described = stand_ins(runnable.bank.model)
-    rule = Rule(
-        [g.name for g in runnable.generators], runnable.sigma, described, given.kinds, partial(_evidence, given)
-    )
     to = offsets(vehicles[0].drives, described)
+    known = None
+    if given.fleet is not None:
+        known = known_of(given.fleet, vehicles[0])
+        to[: len(runnable.bank.generators)] = known.posterior.offset[list(described)].T
+    rule = Rule(
+        [g.name for g in runnable.generators],
+        runnable.sigma,
+        described,
+        given.kinds,
+        partial(_evidence, given, known, Moves()),
+        known.prior if known else None,
+    )
     left_out = folds(vehicles, described) if given.claim or given.target is not None else []
     if given.claim and not left_out:
         progress.note(why_no_folds(vehicles[0], described))
     progress.say("thresholds")
     found = thresholds(vehicles, left_out, rule, given.target, to)
     tuning = _tuning(vehicles, found.whole, to)
+    if given.fleet is not None:
+        tuning = msgspec.structs.replace(tuning, fleet=hashlib.sha256(given.fleet.read_bytes()).hexdigest())
     if not given.claim:
         return tuning
     manifests = []
@@ -210,13 +235,16 @@ def _vehicles(
     return vehicles
 
 
-def _evidence(given: Given, vehicles: Sequence[Vehicle], to: Array) -> tuple[Evidence, list[float]]:
+def _evidence(
+    given: Given, known: Known | None, moves: Moves, vehicles: Sequence[Vehicle], to: Array
+) -> tuple[Evidence, list[float]]:
     """Evidence and sizes of drifts, by the equations of the first vehicle; its networks move with these."""
     runnable, bank = vehicles[0].runnable, vehicles[0].runnable.bank
     described, own = stand_ins(bank.model), len(bank.generators)
     everything, others = (together(vehicles, to, described) for together in (pooled, pooled_left_out))
     seen, apart = ([s.only(own) for s in each] for each in (everything, others))
-    evidence, sizes = gather(bank, to[:own], seen, described, apart)
+    by_these = known.of(statistics(vehicles[0])) if known else None
+    evidence, sizes = gather(bank, to[:own], seen, described, apart, by_these, moves)
     evidence = with_networks(evidence, runnable.generators, everything, to, runnable.sigma, described)
     trained = [each.name for each in runnable.networks.description.generators] if runnable.networks else []
     evidence = with_sigma(evidence, runnable.generators, trained, everything, described)
@@ -245,6 +273,7 @@ def _tuning(vehicles: Sequence[Vehicle], found: Found, to: Array) -> Tuning:
         zero=zero.tolist(),
         networks_sha256=runnable.networks.description.graph_sha256 if runnable.networks else None,
         golden_z=golden(vehicles[0].drives[0].seen),
+        statistics=statistics(vehicles[0]),
     )
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import msgspec
 
+from faultline.analysis.tuning.statistics import OfDrive
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import Claim, Detector, Evidence, Input, Modes, PerMode
 
@@ -20,7 +21,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     sensor (`analysis.tuning.numbers`). `zero` (T, modes) [unit of r] is how far from zero the vehicles' offsets lie,
     root mean square; `base` the SHA-256 of the tuning that this one was adapted from. `drift_sizes` are those of
     the first drifts of the evidence, which the model names, in parts of what it says. `left_out` are networks that
-    have no part in it, with the reason (`analysis.tuning.unfit`).
+    have no part in it, with the reason (`analysis.tuning.unfit`). `statistics` are what this vehicle's drives show,
+    for a fleet to be pooled from; `fleet` is the SHA-256 of the fleet's file that it was tuned with.
     """
 
     schema: str
@@ -40,6 +42,8 @@ class Tuning(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     base: str | None = None
     drift_sizes: list[float] | None = None
     left_out: dict[str, str] = {}
+    statistics: list[OfDrive] = []
+    fleet: str | None = None
 
 
 def model_digest(text: str) -> str:

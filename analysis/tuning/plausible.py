@@ -13,7 +13,7 @@ import numpy.typing as npt
 from scipy.special import ndtri, stdtr
 
 from faultline.analysis.tuning.claim import Fold
-from faultline.analysis.tuning.evidence import SUPPOSED
+from faultline.analysis.tuning.straying import SUPPOSED
 from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen
 from faultline.service.core.manifest import Evidence
 from faultline.service.core.signals.modes import EDGE

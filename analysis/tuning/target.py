@@ -19,6 +19,7 @@ from scipy.special import gammaincinv
 
 from faultline.analysis.tuning.baselines import without_baseline
 from faultline.analysis.tuning.kinds import LEAST, OPEN, Kind, closed, described_by, opened, reached, unrest
+from faultline.analysis.tuning.prior import Prior, no_lower
 from faultline.analysis.tuning.thresholds import MARGIN, Seen, describe, in_order, standard
 from faultline.analysis.tuning.vehicles import Vehicle, pooled, pooled_left_out
 from faultline.service.core.detectors.kinds import kind_of
@@ -39,7 +40,7 @@ class Rule:
     """How detectors are made: for these generators, `floor` (T,), `stand_ins`, `kinds` as in `tune_detectors`.
 
     `evidence` gives what drives of vehicles show of days, around the offsets (T, modes) that all are moved to, and the
-    sizes of the drifts that the model names (`analysis.tuning.evidence`).
+    sizes of the drifts that the model names (`analysis.tuning.evidence`). `prior` is what a fleet teaches.
     """
 
     generators: Sequence[str]
@@ -47,6 +48,11 @@ class Rule:
     stand_ins: Sequence[int]
     kinds: Sequence[Kind]
     evidence: Callable[[Sequence[Vehicle], Array], tuple[Evidence, list[float]]]
+    prior: Prior | None = None
+
+    def no_lower(self, detectors: Sequence[Detector]) -> list[Detector]:
+        """The detectors, with thresholds not below a fleet's."""
+        return [*detectors] if self.prior is None else no_lower(detectors, self.prior)
 
 
 @dataclass(frozen=True)

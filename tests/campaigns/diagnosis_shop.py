@@ -14,6 +14,7 @@ import numpy as np
 from diagnosis_cases import PLANTS, Case, Set, request, seed_of
 
 from faultline.analysis.calibration.command import main as calibrate
+from faultline.analysis.compiled.evaluator import CompiledEvaluator, kernels_of_bundle
 from faultline.analysis.export import main as export
 from faultline.analysis.tuning.command import main as tune
 from faultline.service.bundle.load import Bundle, load_bundle
@@ -174,8 +175,11 @@ def sent(case: Case) -> Iterable[Frame]:
     return frames(case.request, load_dbc(), [run_of(case.request)])
 
 
-def watched(bundle: Bundle, name: str, drive: Iterable[Frame]) -> Watched:
-    """Frames straight into the vehicle's monitor: what a log of them would give, without writing one."""
+def watched(bundle: Bundle, name: str, drive: Iterable[Frame], native: bool = False) -> Watched:
+    """Frames straight into the vehicle's monitor: what a log of them would give, without writing one.
+
+    With `native` code for the residuals, which gives the same events.
+    """
     manifest, ticks, blind = bundle.manifest, [], []
     alarms: list[tuple[float, str]] = []
     standing: set[str] = set()
@@ -188,7 +192,8 @@ def watched(bundle: Bundle, name: str, drive: Iterable[Frame]) -> Watched:
         blind.append(len(decision.cannot_tell))
         ticks.append(tick)
 
-    monitor = Monitor(manifest, bundle.bank(), bundle.table, name, bundle.id, watch)
+    evaluator = CompiledEvaluator(manifest, kernels_of_bundle(bundle)) if native else bundle.bank()
+    monitor = Monitor(manifest, evaluator, bundle.table, name, bundle.id, watch)
     told = list(monitor.log((f.t, f.frame_id, True, f.data) for f in drive))
     origin_s = ticks[0].t_s
     dose = [channel.signal for channel in manifest.inputs].index("dc_dose")

@@ -9,7 +9,8 @@ import pytest
 from faultline.analysis.graph.bank import Bank, build_bank
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import Model, load_model
-from faultline.analysis.tuning.evidence import as_seen, gather
+from faultline.analysis.tuning.evidence import gather
+from faultline.analysis.tuning.straying import as_seen
 from faultline.analysis.tuning.thresholds import Seen, tune_detectors
 from faultline.service.core.decision.decision import CONFIRMED
 from faultline.service.core.decision.hypotheses import Hypotheses

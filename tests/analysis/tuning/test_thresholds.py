@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from faultline.analysis.tuning.evidence import visits
 from faultline.analysis.tuning.kinds import ALLOWANCE, LASTING, MINIMUM_J, described_by
+from faultline.analysis.tuning.statistics import visits
 from faultline.analysis.tuning.thresholds import MARGIN, MINIMUM_TICKS, TOLD_TICKS, Seen, seen, standard
 from faultline.analysis.tuning.thresholds import tune_detectors as tune_all
 from faultline.service.core.detectors.cusum import Cusum
@@ -244,4 +244,4 @@ def test_ticks_on_both_sides_of_a_gap_are_no_neighbours() -> None:
     for index in (before, after):
         seen_there.update(int(run.tick[index]), float(run.s[index]))
     assert seen_there.value == 0.0
-    assert len([*visits([cut], IDLE, [0])]) == 2 * len([*visits([whole], IDLE, [0])])
+    assert len([*visits([cut], IDLE)]) == 2 * len([*visits([whole], IDLE)])
