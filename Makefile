@@ -7,7 +7,7 @@ VEHICLE := .venv-vehicle/bin
 
 CAMPAIGNS := $(addprefix campaign-, recordings discrepancy ablations training diagnosis stories false-alarms rivals \
 	endurance mutation compose alarms clients power screenshots emps logs proposals experiments families time-constants ladder \
-	undeclared dirty clairvoyant transfer scarce one-drive aarch64)
+	undeclared dirty clairvoyant transfer scarce one-drive aarch64 fleet)
 .PHONY: demo test check lint bench clean $(CAMPAIGNS)
 test check $(CAMPAIGNS): export OPENBLAS_NUM_THREADS := 1  # two or three processes share the two cores
 
@@ -85,6 +85,9 @@ campaign-one-drive: .venv/.test  ## a vehicle tuned with one drive and a fleet, 
 
 campaign-aarch64: .venv/.test  ## the golden bundle on an emulated ARM processor; fetches 150 MB, minutes; writes docs/results
 	@$(BIN)/python tests/campaigns/aarch64.py
+
+campaign-fleet: .venv/.test  ## 1,000 vehicles made and diagnosed in shards; hours; writes docs/results
+	@$(BIN)/python tests/campaigns/fleet_at_size.py
 
 campaign-scarce: .venv/.test  ## equations and networks from 2, 5 and 20 minutes, four trucks; two hours; writes docs/results
 	@$(BIN)/python tests/campaigns/scarce.py

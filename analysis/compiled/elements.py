@@ -10,6 +10,7 @@ The batch axis is the row of a hypothesis. A constant that differs from row to r
 
 import operator
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,6 +46,7 @@ class NotCompiledError(InputError):
     """A graph that has an operation which is not made into native code."""
 
 
+@lru_cache(maxsize=2)  # a bundle's graphs, of which drives that are left out share one
 def program_of(raw: bytes, rows: int) -> Program:
     """The graph of which inputs and outputs are (rows, n), as scalars of a row.
 

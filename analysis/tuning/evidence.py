@@ -76,7 +76,7 @@ def gather(
         sizes, allowance = of_fleet.sizes, own
     else:
         own = np.abs(away[..., :K]).max(axis=0)
-        drifts = named_drifts(bank.only(order), recordings, described, moves)
+        drifts = named_drifts(bank, recordings, described, moves)[..., order]
         sizes = np.ones(len(drifts))
         if not bank.has_equations and len(recordings) < ENOUGH:
             own = np.abs(away - away.mean(axis=1, keepdims=True))[..., :K].max(axis=0)
@@ -226,7 +226,7 @@ def with_drifts(
     """
     moves, names = Moves(), [generator.name for generator in bank.generators]
     order = [names.index(name) for name in (*evidence.generators, *(f.generator for f in evidence.followers))]
-    K, own = len(evidence.generators), named_drifts(bank.only(order), recordings, stand_ins, moves)
+    K, own = len(evidence.generators), named_drifts(bank, recordings, stand_ins, moves)[..., order]
     own *= np.array(sizes).reshape(-1, 1, 1)
     followers = [
         msgspec.structs.replace(f, drifts=[*own[..., column].tolist(), *f.drifts[len(own) :]])
