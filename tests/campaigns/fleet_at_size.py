@@ -32,6 +32,7 @@ from results_page import digest, head_commit
 
 from faultline.analysis.fleet import tables
 from faultline.testbench.bus import load_dbc
+from faultline.testbench.faults import Fault
 from faultline.testbench.recording import record
 from faultline.testbench.sizes import frozen
 
@@ -40,6 +41,8 @@ Record = dict[str, Any]
 BUILDS = tuple(range(1101, 1109))
 SHARDS, OF_SHARD, SECONDS = 40, 25, 600.0
 DRIVES = (2, 3, 4, 5)
+JUDGED = {6: None, 7: "fA_t", 8: "fy_p_du"}
+"""Further drives of each build, for `evaluate`."""
 FAULTY = 0.2
 KILLED_IN, KILLED_AFTER_S = 3, 15.0
 """The shard in which a worker is killed, so long after the beginning."""
@@ -77,10 +80,12 @@ def command(*words: str, kill_after_s: float | None = None) -> Spent:
     return Spent(time.monotonic() - began, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, int(it.returncode))
 
 
-def build_drive(number: int, cycle: str, k: int, work: Path) -> Path:
-    """A fault-free recording of a truck that vehicles are built like."""
+def build_drive(number: int, cycle: str, k: int, into: Path, fault: str | None = None) -> Path:
+    """A recording of a truck that vehicles are built like; its truth stands beside its folder."""
     wanted = request(number, set_of(number), cycle, seed_of(number, k), SECONDS)
-    return record(wanted, load_dbc(), work / cycle, work / "truth", force=True, progress=lambda _: None)[0]
+    if fault is not None:
+        wanted = replace(wanted, faults=(Fault(fault, FAULTS[fault], SECONDS / 4),))
+    return record(wanted, load_dbc(), into, into.parent / "truth", force=True, progress=lambda _: None)[0]
 
 
 def vehicle_drive(place: tuple[int, Path]) -> tuple[Record, float]:
@@ -105,8 +110,10 @@ def prepare(work: Path, processes: int) -> Record:
     if (done := work / "prepared.json").exists():
         return dict(json.loads(done.read_text()))
     with get_context("spawn").Pool(processes) as pool:
-        pool.starmap(build_drive, [(number, "training", 1, work) for number in BUILDS])
-        pool.starmap(build_drive, [(number, "drive", k, work) for number in BUILDS for k in DRIVES])
+        pool.starmap(build_drive, [(number, "training", 1, work / "training") for number in BUILDS])
+        pool.starmap(build_drive, [(number, "drive", k, work / "drive") for number in BUILDS for k in DRIVES])
+        judged = [(number, "drive", k, work / "judged", fault) for number in BUILDS for k, fault in JUDGED.items()]
+        pool.starmap(build_drive, judged)
     made, model = str(work / "made"), str(work / "made" / "vehicle={vehicle}" / "model.toml")
     training, drives = str(work / "training"), str(work / "drive")
     given = ["--out", made, "--processes", str(processes)]
@@ -116,10 +123,11 @@ def prepare(work: Path, processes: int) -> Record:
         "calibrate": ["uds", training, *given, "--", "--force"],
         "tune": [model, drives, *given],
         "export": [model, training, *given, "--", "--tuning", tuning],
-        "evaluate": [bundle, drives, *given],
+        "evaluate": [bundle, str(work / "judged"), *given, "--", "--truth", str(work / "truth")],
+        "train": [model, str(next((work / "training").iterdir())), *given],
     }
-    hours = {"calibrate": len(BUILDS), "tune": len(BUILDS) * len(DRIVES), "export": len(BUILDS)}
-    hours["evaluate"] = hours["tune"]
+    hours = dict.fromkeys(orders, len(BUILDS)) | {"tune": len(BUILDS) * len(DRIVES), "train": 1}
+    hours["evaluate"] = len(BUILDS) * len(JUDGED)
     costs = {}
     for name, words in orders.items():
         spent = command("fleet", name, *words)
@@ -167,12 +175,10 @@ def shard(k: int, work: Path, processes: int) -> Record:
 
 def _kill_worker(parent: int) -> None:
     """Kill one of the processes that a command has started to work for it."""
-    for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
-        if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text():
-            os.kill(int(pid), signal.SIGKILL)
-            print(f"worker {pid} killed", flush=True)
-            return
-    raise AssertionError("no worker to be killed")
+    started = [pid for each in Path(f"/proc/{parent}/task").glob("*/children") for pid in each.read_text().split()]
+    workers = [int(pid) for pid in started if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text()]
+    os.kill(workers[0], signal.SIGKILL)
+    print(f"worker {workers[0]} of {workers} killed", flush=True)
 
 
 def _differs(name: str, folder: Path, bundle: str, out: Path) -> bool:
