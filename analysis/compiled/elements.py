@@ -5,7 +5,8 @@ most are zeros and ones. Element by element they fold away:
 
     0 * a = 0,   1 * a = a,   a + 0 = a,   the same operation of the same operands once
 
-The batch axis is the row of a hypothesis. A constant that differs from row to row is a column of a table.
+The batch is the last axis inside a graph, the row of a hypothesis. A constant that differs from row to row, as its
+name says, is a column of a table.
 """
 
 import operator
@@ -18,6 +19,7 @@ import numpy.typing as npt
 import onnx
 from onnx import numpy_helper
 
+from faultline.analysis.graph.writer import BY_ROW
 from faultline.service.core.errors import InputError
 
 Tensor = npt.NDArray[Any]
@@ -174,6 +176,7 @@ _OF_SHAPE: Mapping[str, Callable[..., Tensor]] = {
     "Slice": _slice,
     "Shape": lambda tensor: np.array(tensor.shape),
     "Expand": lambda tensor, shape: np.broadcast_to(tensor, np.broadcast_shapes(tensor.shape, tuple(shape))),
+    "Transpose": np.transpose,
 }
 
 
@@ -208,11 +211,13 @@ class _Reading:
             return value
         if value.dtype != np.float64:
             raise NotCompiledError(f"constant {proto.name} is {value.dtype}, not float64")
-        by_row = value.ndim > 1 and self._rows > 1 and len(value) == self._rows
-        table = value.reshape(self._rows, -1) if by_row else value.reshape(1, -1)
-        found = np.empty(table.shape[1], dtype=object)
-        found[:] = [self._scalars.constant(column) for column in table.T]
-        return found.reshape((1, *value.shape[1:]) if by_row else value.shape)
+        by_row = proto.name.startswith(BY_ROW)
+        if by_row and value.shape[-1] != self._rows:
+            raise NotCompiledError(f"constant {proto.name} is of {value.shape[-1]} rows, not of {self._rows}")
+        table = value.reshape(-1, self._rows) if by_row else value.reshape(-1, 1)
+        found = np.empty(len(table), dtype=object)
+        found[:] = [self._scalars.constant(each) for each in table]
+        return found.reshape((*value.shape[:-1], 1) if by_row else value.shape)
 
     def _result(self, node: onnx.NodeProto) -> Tensor:
         given = [self._tensors[name] for name in node.input]
@@ -230,7 +235,23 @@ class _Reading:
                 return self._product(*given)
             case "Concat":
                 return np.concatenate(given, axis=onnx.helper.get_node_attr_value(node, "axis"))
+            case "Gather":
+                tensor, places = given
+                axis = onnx.helper.get_node_attr_value(node, "axis")
+                return np.asarray(np.take(tensor, places.astype(np.int64), axis=axis))
+            case "ReduceSum":
+                return self._total(*given)
         raise NotCompiledError(f"operator {kind} is not compiled")
+
+    def _total(self, tensor: Tensor, axes: Tensor) -> Tensor:
+        """The sum along an axis, which is gone."""
+        if len(axes) > 1:
+            raise NotCompiledError("a sum along several axes is not compiled")
+        terms = np.moveaxis(tensor, int(axes[0]), 0)
+        total: Tensor = terms[0]
+        for term in terms[1:]:
+            total = self._each("add", total, term)
+        return total
 
     def _number(self, value: float) -> Tensor:
         return np.array(self._scalars.leaf("constant", value), dtype=object)

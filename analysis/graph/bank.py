@@ -12,7 +12,7 @@ import sympy as sp
 from faultline.analysis.graph.formula import Formulas
 from faultline.analysis.graph.linear import last
 from faultline.analysis.graph.network import Evaluator, Network, flow_network
-from faultline.analysis.graph.step import OF_FORMULAS, STACKED, Stacked, stack, step_graph
+from faultline.analysis.graph.step import STACKED, Stacked, entries, stack, step_graph
 from faultline.analysis.model import Model
 from faultline.analysis.structure import Test, find_tests
 from faultline.service.core.errors import InputError
@@ -84,7 +84,8 @@ class Bank:
         model = self.model
         parameters = tuple(name for name in (*model.parameters, *model.assumable) if name in used)
         nominal = {name: p.value for name, p in model.parameters.items()} | dict.fromkeys(model.assumable, 0.0)
-        theta = np.array([[[trial.get(name, nominal[name]) for name in parameters]] for trial in trials])
+        theta = np.array([[trial.get(name, nominal[name]) for trial in trials] for name in parameters])
+        theta = theta.reshape(len(parameters), len(trials))
         states = tuple(last(network.test, state).name for network in self.networks for state in network.states)
         signals = tuple(channel.signal for channel in self.inputs)
         return Formulas(expressions, readings, signals, states, parameters, theta, model.name)
@@ -103,22 +104,27 @@ class Bank:
                 f"{self.model.name}: divides by zero with these parameters ({zero} = 0); "
                 "give them other values, or leave out the effect that they are of"
             )
-        return self._graph([{}], parametric=False)
+        return self._graph([{}])
 
     def graph_of(self, trials: Sequence[Trial]) -> bytes:
         """The ONNX graph with each trial's parameters and faults built in: as many rows of a batch as trials."""
-        return self._graph(trials, parametric=False)
+        return self._graph(trials)
 
-    def _graph(self, trials: Sequence[Trial], parametric: bool) -> bytes:
+    def _graph(self, trials: Sequence[Trial], pattern: Stacked | None = None) -> bytes:
         names = [channel.signal for channel in self.inputs]
         measured = np.array([[float(name == g.predicts) for g in self.generators] for name in names])
         stacked, formulas = self.stacked(trials), self.formulas(trials)
-        return step_graph(stacked, measured, self.sigma, formulas, parametric=parametric)
+        return step_graph(stacked, measured, self.sigma, formulas, pattern=pattern)
+
+    @cached_property
+    def _pattern(self) -> Stacked:
+        """The stacked matrices, not zero where an entry may be so; of a period by which nothing adds up to zero."""
+        return stack(self.evaluator.structure, 0.5)
 
     @cached_property
     def _parametric(self) -> Graph:
         """The graph of the vehicle, with the matrices as inputs."""
-        return Graph(self._graph([{}], parametric=True))
+        return Graph(self._graph([{}], self._pattern))
 
     def simulate(self, trials: Sequence[Trial], z: Array, x0: Array) -> Array:
         """Return the residuals (K, B, T) for B trials side by side, by the very graph of the vehicle.
@@ -127,7 +133,11 @@ class Bank:
         or of each.
         """
         stacked = self.stacked(trials)
-        matrices = {name: getattr(stacked, name) for name in STACKED if name not in OF_FORMULAS or stacked.J.size}
+        matrices = {}
+        for name in STACKED:
+            rows, columns = entries(getattr(self._pattern, name))
+            if len(rows):
+                matrices[name] = np.ascontiguousarray(getattr(stacked, name)[:, rows, columns].T)
         theta = self.formulas(trials).theta
         if theta.size:
             matrices["theta"] = theta

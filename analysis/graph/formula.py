@@ -18,7 +18,7 @@ _OPERATORS = {sp.Abs: "Abs", exp: "Exp", log: "Log", tanh: "Tanh"}
 
 @dataclass(frozen=True)
 class Formulas:
-    """Formulas of signals, states and parameters: the names in the order of their columns, `theta` (B, 1, P).
+    """Formulas of signals, states and parameters: the names in the order of their columns, `theta` (P, B).
 
     The `expressions` are known before the step; `readings`, by the row of their test, are of the states after it.
     """
@@ -36,11 +36,11 @@ class Formulas:
         if not self.parameters:
             return ""
         if parametric:
-            return w.input("theta", ["B", 1, len(self.parameters)])
-        return w.constant(self.theta) if len(self.theta) > 1 else ""
+            return w.input("theta", [len(self.parameters), "B"])
+        return w.constant(self.theta, by_row=True) if self.theta.shape[1] > 1 else ""
 
     def write(self, w: Writer, expressions: Sequence[sp.Expr], z: str, x: str, theta: str) -> str:
-        """The values (B, 1, F) of some of them from z (B, 1, nz), x (B, 1, nx) and `theta`, "" for numbers.
+        """The values (F, B) of some of them from z (nz, B), x (nx, B) and `theta`, "" for numbers.
 
         Raises:
             InputError: a formula divides by zero with the parameters of the first set.
@@ -49,21 +49,21 @@ class Formulas:
         if theta:
             columns.append((theta, self.parameters))
         else:
-            values = zip(self.parameters, self.theta[0, 0].tolist(), strict=True)
+            values = zip(self.parameters, self.theta[:, 0].tolist(), strict=True)
             numbers = {sp.Symbol(name): sp.Float(value) for name, value in values}
             expressions = tuple(expression.xreplace(numbers) for expression in expressions)
             if any(expression.has(sp.nan, sp.zoo, sp.oo, -sp.oo, sp.I) for expression in expressions):
                 raise InputError(f"{self.place}: a coefficient divides by zero with these parameters; change them")
         used = set().union(*(expression.free_symbols for expression in expressions))
         known = {
-            name: w.slice(tensor, 2, column, column + 1)
+            name: w.slice(tensor, 0, column, column + 1)
             for tensor, names in columns
             for column, name in enumerate(names)
             if sp.Symbol(name) in used
         }
-        nothing = w("Mul", w.slice(z, 2, 0, 1), w.constant(0.0))  # gives a number its batch
+        nothing = w("Mul", w.slice(z, 0, 0, 1), w.constant(0.0))  # gives a number its batch
         found = write_formulas(w, expressions, known)
-        return w.concat([w("Add", nothing, value) for value in found], axis=2)
+        return w.concat([w("Add", nothing, value) for value in found], axis=0)
 
 
 def obstacle(expression: sp.Expr) -> str | None:

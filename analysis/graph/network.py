@@ -15,6 +15,7 @@ volumes that depend on pressure, (1 + V f) x', in addition. A sensor that shows 
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -172,10 +173,20 @@ class Evaluator:
         """The networks' values for each trial: a mapping of the parameters and faults that differ from the nominal."""
         columns = np.array([[trial.get(n, self._nominal[n]) for trial in trials] for n in self._names])  # (P, B)
         elements = np.array([np.broadcast_to(e, len(trials)) for e in self._function(*columns)], dtype=np.float64)
+        return self._values(elements)
+
+    @cached_property
+    def structure(self) -> list[Values]:
+        """The networks' values with one for each entry that is not zero with all parameters and faults."""
+        entries = [element for network in self._networks for field in MATRICES for element in getattr(network, field)]
+        return self._values(np.array([[float(element != 0)] for element in entries]))
+
+    def _values(self, elements: Array) -> list[Values]:
+        """The values of which all `elements` (n, B) are these."""
         arrays: list[Array] = []
         start = 0
         for rows, cols in self._shapes:
-            block = elements[start : start + rows * cols].reshape(rows, cols, len(trials))
+            block = elements[start : start + rows * cols].reshape(rows, cols, elements.shape[1])
             arrays.append(np.moveaxis(block, -1, 0))
             start += rows * cols
         step = len(MATRICES)

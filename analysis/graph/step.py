@@ -13,12 +13,13 @@ This is repeated `sweeps` times, then x+ is solved for. It has no cycle at zero 
 neighbour, because no slope of the root is ever used away from the solution. The choice against a plain chord at the
 last state, a Rosenbrock step and forward Euler is docs/decisions/001-implicit-step.md.
 
-All tests are stacked: T tests of at most N states in M (B, T, N, N), all S orifices in one vector. A node costs the
+All tests are stacked: T tests of at most N states in M (T, N, N, B), all S orifices in one vector. A node costs the
 same for one test and for ten.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,6 +33,7 @@ S_MIN = 1e-3
 """Velocity below which an orifice is laminar [m/s], 5e-4 Pa for water: it bounds the conductance, nothing else."""
 
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,12 @@ def stack(tests: Sequence[Values], period: float) -> Stacked:
     return Stacked(into=into, **out)
 
 
+def entries(pattern: Array) -> tuple[Indices, Indices]:
+    """The rows and columns of the entries of a matrix (1, rows, columns) that are not zero."""
+    rows, columns = np.nonzero(pattern[0])
+    return rows, columns
+
+
 def step_graph(
     stacked: Stacked,
     measured: Array,
@@ -116,69 +124,103 @@ def step_graph(
     formulas: Formulas,
     *,
     sweeps: int = SWEEPS,
-    parametric: bool = False,
+    pattern: Stacked | None = None,
 ) -> bytes:
     """The fused graph as ONNX bytes, float64: z (B, nz), x (B, nx) -> r, y_hat, sigma (B, T), x_next (B, nx).
 
-    `measured` (nz, T) picks the signal that each test predicts. With `parametric` the matrices are inputs named as in
-    `STACKED`, one set per row of the batch, and the formulas' parameters `theta`; without it they are built in: one set
-    for every row, or as many as the batch is to have rows.
+    `measured` (nz, T) picks the signal that each test predicts. With a `pattern` the matrices are inputs named as in
+    `STACKED`: of each the `entries` that the pattern has (D, B), one set a row of the batch, and the formulas'
+    parameters `theta` (P, B). Without it they are built in: one set for every row, or as many as the batch is to have
+    rows. Inside, the batch is the last axis: the rows of all hypotheses lie side by side in memory.
     """
     w = Writer()
     z, x = w.input("z", ["B", measured.shape[0]]), w.input("x", ["B", stacked.into.shape[0]])
-    nz, nx = measured.shape[0], stacked.into.shape[0]
+    nz, nx, parametric = measured.shape[0], stacked.into.shape[0], pattern is not None
     present = [name for name in STACKED if name not in OF_FORMULAS or formulas.expressions]
-    matrix = {name: _matrix(w, name, getattr(stacked, name), parametric) for name in present}
+    matrix = {name: _matrix(w, name, getattr(stacked, name), pattern) for name in present}
     L, T = stacked.alpha.shape[1], measured.shape[1]
     N = L // T
-    z3 = w.reshape(z, [-1, 1, nz])
-    u = w.concat([w("Add", w("Mul", w.slice(z3, 2, 0, 1), w.constant(0.0)), w.constant(1.0)), z3], axis=2)
-    nothing = w("Mul", w.slice(z3, 2, 0, 1), w.constant(0.0))  # of the batch's size
-    x3 = w.reshape(x, [-1, 1, nx]) if nx else nothing
+    signals = w("Transpose", z)
+    nothing = w("Mul", w.slice(signals, 0, 0, 1), w.constant(0.0))  # of the batch's size
+    one = w("Add", nothing, w.constant(1.0))
+    u = w.concat([one, signals], axis=0)
+    states = w("Transpose", x) if nx else nothing
     theta = formulas.write_theta(w, parametric=parametric)
     if formulas.expressions:
-        u = w.concat([u, formulas.write(w, formulas.expressions, z3, x3, theta)], axis=2)
-    old = w("MatMul", x3, w.constant(stacked.into if nx else np.zeros((1, L))))
-    beta = w("MatMul", u, matrix["beta"])
-    opening = w("MatMul", u, matrix["mu"])
-    held, M0 = old, matrix["M0"]
+        u = w.concat([u, formulas.write(w, formulas.expressions, signals, states, theta)], axis=0)
+    old = w("MatMul", w.constant(stacked.into.T if nx else np.zeros((L, 1))), states)
+    beta = _times(w, matrix["beta"], u)
+    opening = _times(w, matrix["mu"], u)
+    held, M0 = old, _times(w, matrix["M0"], one)
     if formulas.expressions:
-        f = w.slice(u, 2, 1 + nz, 1 + nz + len(formulas.expressions))
-        held = w("Add", old, w("Mul", old, w("MatMul", f, matrix["V"])))
-        M0 = w("Sub", M0, w("MatMul", f, matrix["J"]))
-    driven = w("Add", held, w("MatMul", u, matrix["B"]))
+        f = w.slice(u, 0, 1 + nz, 1 + nz + len(formulas.expressions))
+        held = w("Add", old, w("Mul", old, _times(w, matrix["V"], f)))
+        M0 = w("Sub", M0, _times(w, matrix["J"], f))
+    driven = w("Add", held, _times(w, matrix["B"], u))
     new, inverse, g = old, "", ""
     for _ in range(sweeps + 1):
-        d = w("Add", w("MatMul", new, matrix["alpha"]), beta)
+        d = w("Add", _times(w, matrix["alpha"], new), beta)
         velocity = _thevenin(w, inverse, d, g, opening, matrix["Z"], L * N) if inverse else w("Sqrt", w("Abs", d))
         g = w("Reciprocal", w("Max", velocity, w.constant(S_MIN)))
         q = w("Mul", opening, g)
-        M = w("Sub", M0, w("MatMul", q, matrix["K"]))
-        inverse = _inverse(w, w.reshape(M, [-1, T, N, N]), N)
-        rhs = w("Add", driven, w("MatMul", w("Mul", q, beta), matrix["C"]))
-        new = w.reshape(w("MatMul", inverse, w.reshape(rhs, [-1, T, N, 1])), [-1, 1, L])
-    y_hat = w("Add", w("MatMul", new, matrix["H"]), w("MatMul", u, matrix["E"]))
-    x_next = w("MatMul", new, w.constant(stacked.into.T)) if nx else nothing
+        M = w("Sub", M0, _times(w, matrix["K"], q))
+        inverse = _inverse(w, w.reshape(M, [T, N, N, -1]), N)
+        rhs = w("Add", driven, _times(w, matrix["C"], w("Mul", q, beta)))
+        new = w.reshape(w.total(w("Mul", inverse, w.reshape(rhs, [T, 1, N, -1])), 2), [L, -1])
+    y_hat = w("Add", _times(w, matrix["H"], new), _times(w, matrix["E"], u))
+    x_next = w("MatMul", w.constant(stacked.into), new) if nx else nothing
     if formulas.readings:
-        readings = formulas.write(w, list(formulas.readings.values()), z3, x_next, theta)
-        y_hat = w("Add", y_hat, w("MatMul", readings, w.constant(np.eye(T)[list(formulas.readings)])))
-    y_hat = w.reshape(y_hat, [-1, T])
-    w.output("r", w("Sub", w("MatMul", z, w.constant(measured)), y_hat), ["B", T])
-    w.output("y_hat", y_hat, ["B", T])
-    w.output("sigma", w("Expand", w.constant(sigma[None]), w("Shape", y_hat)), ["B", T])
-    w.output("x_next", w.reshape(x_next, [-1, nx]) if nx else x, ["B", nx])
+        readings = formulas.write(w, list(formulas.readings.values()), signals, x_next, theta)
+        y_hat = w("Add", y_hat, w("MatMul", w.constant(np.eye(T)[:, list(formulas.readings)]), readings))
+    r = w("Sub", w("MatMul", w.constant(measured.T), signals), y_hat)
+    by_row = w("Transpose", y_hat)
+    w.output("r", w("Transpose", r), ["B", T])
+    w.output("y_hat", by_row, ["B", T])
+    w.output("sigma", w("Expand", w.constant(sigma[None]), w("Shape", by_row)), ["B", T])
+    w.output("x_next", w("Transpose", x_next) if nx else x, ["B", nx])
     return w.model("faultline-ode")
 
 
-def _matrix(w: Writer, name: str, values: Array, parametric: bool) -> str:
-    if parametric:
-        return w.input(name, ["B", *values.shape[1:]])
-    return w.constant(values[0] if (values == values[:1]).all() else values)
+class _Matrix(NamedTuple):
+    """A matrix of a graph, transposed: what is `common` (n, m) to all rows of a batch, and D entries of each row.
+
+    These have `values` (D, B), take the places `rows` (D,) of a vector and are added up to n by `into` (n, D).
+    """
+
+    common: str
+    rows: Indices | None = None
+    values: str = ""
+    into: str = ""
 
 
-def _thevenin(w: Writer, inverse: str, d: str, g: str, opening: str, Z: str, entries: int) -> str:
+def _matrix(w: Writer, name: str, values: Array, pattern: Stacked | None) -> _Matrix:
+    n = values.shape[2]
+    differs = (values != values[:1]).any(axis=0) if pattern is None else getattr(pattern, name)[0] != 0.0
+    rows, columns = np.nonzero(differs)
+    common = np.where(differs, 0.0, values[0]).T
+    if not len(rows):
+        return _Matrix(w.constant(common))
+    into = w.constant((np.arange(n)[:, None] == columns).astype(np.float64))
+    if pattern is not None:
+        return _Matrix("", rows, w.input(name, [len(rows), "B"]), into)
+    return _Matrix(w.constant(common), rows, w.constant(values[:, rows, columns].T, by_row=True), into)
+
+
+def _times(w: Writer, matrix: _Matrix, value: str) -> str:
+    """A product (n, B) with a vector (m, B): by what all rows share, and the few entries in which they differ.
+
+    A matrix of its own for every row would be megabytes that are read at every tick.
+    """
+    product = w("MatMul", matrix.common, value) if matrix.common else ""
+    if matrix.rows is None:
+        return product
+    moved = w("MatMul", matrix.into, w("Mul", w.gather(value, matrix.rows, 0), matrix.values))
+    return w("Add", product, moved) if product else moved
+
+
+def _thevenin(w: Writer, inverse: str, d: str, g: str, opening: str, Z: _Matrix, entries: int) -> str:
     """|s| of every orifice against its own Thevenin equivalent, from the linearised network's inverse."""
-    seen = w("MatMul", w.reshape(inverse, [-1, 1, entries]), Z)
+    seen = _times(w, Z, w.reshape(inverse, [entries, -1]))
     impedance = w("Mul", seen, opening)
     share = w("Max", w("Sub", w.constant(1.0), w("Mul", g, impedance)), w.constant(1e-12))
     Z0 = w("Div", impedance, share)
@@ -188,7 +230,7 @@ def _thevenin(w: Writer, inverse: str, d: str, g: str, opening: str, Z: str, ent
 
 
 def _inverse(w: Writer, M: str, N: int) -> str:
-    """M^-1 (B, T, N, N) in place: Gauss-Jordan without pivoting, because the pivots of an M-matrix are positive.
+    """M^-1 (T, N, N, B) in place: Gauss-Jordan without pivoting, because the pivots of an M-matrix are positive.
 
     Pivot k replaces row k, column k and their crossing instead of adding to them: with pivots of 1e7 next to ones, the
     shorter W - (column - e_k)(row + e_k) / W_kk would lose half the digits.
@@ -197,11 +239,11 @@ def _inverse(w: Writer, M: str, N: int) -> str:
     for k in range(N):
         unit = np.eye(N)[k]
         others = 1.0 - unit
-        row, column = w.slice(work, 2, k, k + 1), w.slice(work, 3, k, k + 1)
-        pivot = w.slice(row, 3, k, k + 1)
-        right = w("Add", w("Mul", row, w.constant(others.reshape(1, 1, 1, N))), w.constant(unit.reshape(1, 1, 1, N)))
-        left = w("Mul", column, w.constant(others.reshape(1, 1, N, 1)))
-        left = w("Sub", w.constant(unit.reshape(1, 1, N, 1)), left)
-        kept = w("Mul", work, w.constant(np.outer(others, others).reshape(1, 1, N, N)))
+        row, column = w.slice(work, 1, k, k + 1), w.slice(work, 2, k, k + 1)
+        pivot = w.slice(row, 2, k, k + 1)
+        right = w("Add", w("Mul", row, w.constant(others.reshape(1, 1, N, 1))), w.constant(unit.reshape(1, 1, N, 1)))
+        left = w("Mul", column, w.constant(others.reshape(1, N, 1, 1)))
+        left = w("Sub", w.constant(unit.reshape(1, N, 1, 1)), left)
+        kept = w("Mul", work, w.constant(np.outer(others, others).reshape(1, N, N, 1)))
         work = w("Add", kept, w("Mul", left, w("Div", right, pivot)))
     return work

@@ -16,13 +16,16 @@ from faultline.service.core.residuals.graph_file import IR_VERSIONS, OPERATORS, 
 
 Array = npt.NDArray[np.float64]
 
+BY_ROW = "row"
+"""What the names of constants begin with that differ between the rows of a batch."""
+
 
 class Writer:
     """A graph under construction. A value is the name of a tensor; every method returns the name of its result."""
 
     def __init__(self) -> None:
         self._nodes: list[onnx.NodeProto] = []
-        self._constants: dict[tuple[bytes, tuple[int, ...], str], str] = {}
+        self._constants: dict[tuple[bytes, tuple[int, ...], str, bool], str] = {}
         self._initializers: list[onnx.TensorProto] = []
         self._inputs: list[onnx.ValueInfoProto] = []
         self._outputs: list[onnx.ValueInfoProto] = []
@@ -37,12 +40,12 @@ class Writer:
         self._nodes.append(helper.make_node("Identity", [value], [name]))
         self._outputs.append(helper.make_tensor_value_info(name, TensorProto.DOUBLE, list(shape)))
 
-    def constant(self, value: npt.ArrayLike, dtype: type[np.generic] = np.float64) -> str:
-        """A constant; the same one is stored once."""
+    def constant(self, value: npt.ArrayLike, dtype: type[np.generic] = np.float64, *, by_row: bool = False) -> str:
+        """A constant; the same one is stored once. One `by_row` has a number for every row of a batch, last."""
         array = np.ascontiguousarray(value, dtype=dtype)
-        key = (array.tobytes(), array.shape, array.dtype.str)
+        key = (array.tobytes(), array.shape, array.dtype.str, by_row)
         if key not in self._constants:
-            name = f"c{len(self._constants)}"
+            name = f"{BY_ROW if by_row else 'c'}{len(self._constants)}"
             self._constants[key] = name
             self._initializers.append(numpy_helper.from_array(array, name))
         return self._constants[key]
