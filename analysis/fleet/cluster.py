@@ -4,21 +4,14 @@ A worker that dies takes nothing with it that was done, as each piece of work is
 does again what it was at.
 """
 
-import gc
 import logging
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from distributed import Client, KilledWorker, LocalCluster, as_completed
 
-from faultline.service.core.errors import InputError
-
-ANSWERS_S = 10.0
-"""A scheduler, within so much time."""
-
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+from faultline.analysis.processes import cores, scheduler_at
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
@@ -31,25 +24,13 @@ def cluster(scheduler: str | None, processes: int | None) -> Iterator[Client]:
     Raises:
         InputError: there are no processes, or no scheduler answers.
     """
-    if scheduler is None:
-        cores = len(os.sched_getaffinity(0)) if processes is None else processes
-        if cores < 1:
-            raise InputError(f"--processes {cores}: nobody would work; give at least 1")
-        for name in THREADS:  # matrices are small: two processes are faster than two threads
-            os.environ.setdefault(name, "1")
-        own = {"n_workers": cores, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
-        with LocalCluster(**own, memory_limit=0, silence_logs=logging.ERROR) as local, Client(local) as client:  # type: ignore[no-untyped-call]
+    if scheduler is not None:
+        with scheduler_at(scheduler) as client:
             yield client
         return
-    refused = None
-    try:
-        client = Client(scheduler, timeout=ANSWERS_S)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError) as error:
-        refused = str(error)
-    if refused is not None:
-        gc.collect()  # ends the client that failed; ended while another one starts, the two wait for each other
-        raise InputError(f"{scheduler}: no Dask scheduler answers ({refused}); check address and port")
-    with client:
+    size = {"n_workers": cores(processes), "threads_per_worker": 1}
+    where = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
+    with LocalCluster(**size, **where, memory_limit=0, silence_logs=logging.ERROR) as local, Client(local) as client:  # type: ignore[no-untyped-call]
         yield client
 
 

@@ -4,9 +4,7 @@ What was interrupted goes on where it stopped: an attempt is kept under what it 
 and another recording, model, library entry or version of this program does not.
 """
 
-import gc
 import hashlib
-import os
 import pickle
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
@@ -20,6 +18,7 @@ from typing import TypeVar
 from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Glance, Judge, Scan, Study
 from faultline.analysis.discrepancy.name.kept import keep, kept
 from faultline.analysis.discrepancy.name.sensitivity import Direction
+from faultline.analysis.processes import cores, scheduler_at
 from faultline.service.core.errors import InputError
 
 Result = Attempt | Glance | Scan
@@ -28,11 +27,6 @@ Made = TypeVar("Made")
 
 _judges: dict[str, Judge] = {}
 """In a worker: the judge that it made last, by the key of what it was made from."""
-
-ANSWERS_S = 10.0
-"""A Dask scheduler, within so much time."""
-
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -187,28 +181,13 @@ def workers(scheduler: str | None, processes: int | None = None) -> Iterator[Exe
         InputError: there are no processes; dask is not installed, or nobody answers there.
     """
     if scheduler is None:
-        cores = len(os.sched_getaffinity(0)) if processes is None else processes
-        if cores < 1:
-            raise InputError(f"--processes {cores}: nobody would work; give at least 1")
-        for name in THREADS:  # matrices are small: two processes are faster than two threads
-            os.environ.setdefault(name, "1")
         afresh = get_context("spawn")  # numpy has taken its threads when it was imported: a fork would keep them
-        with ProcessPoolExecutor(cores, mp_context=afresh) as executor:
+        with ProcessPoolExecutor(cores(processes), mp_context=afresh) as executor:
             yield executor
         return
-    try:
-        from distributed import Client, KilledWorker
-    except ImportError as error:
-        raise InputError("--scheduler needs dask: pip install 'faultline-diagnosis[scale]'") from error
-    refused = None
-    try:
-        client = Client(scheduler, timeout=ANSWERS_S)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError) as error:
-        refused = str(error)
-    if refused is not None:
-        gc.collect()  # ends the client that failed; ended while another one starts, the two wait for each other
-        raise InputError(f"{scheduler}: no Dask scheduler answers ({refused}); check address and port")
-    with client:
+    with scheduler_at(scheduler) as client:
+        from distributed import KilledWorker
+
         try:
             yield client.get_executor(pure=False)  # type: ignore[no-untyped-call]
         except KilledWorker as error:

@@ -15,6 +15,7 @@ from distributed import LocalCluster
 from made_study import Inline, study
 from made_threads import threads
 
+from faultline.analysis import processes
 from faultline.analysis.discrepancy.name import work
 from faultline.analysis.discrepancy.name.attempt import Attempt, Baseline, Begin, Glance, Judge, Study, baseline_of
 from faultline.analysis.discrepancy.name.kept import keep, kept
@@ -184,15 +185,15 @@ def test_a_dask_cluster_comes_to_the_same() -> None:
         assert not same([found], inline()[1:])
 
 
-@pytest.mark.parametrize("processes", [0, -1])
-def test_no_processes_are_refused(processes: int) -> None:
-    said = f"^--processes {processes}: nobody would work; give at least 1$"
-    with pytest.raises(InputError, match=said), workers(None, processes):
+@pytest.mark.parametrize("count", [0, -1])
+def test_no_processes_are_refused(count: int) -> None:
+    said = f"^--processes {count}: nobody would work; give at least 1$"
+    with pytest.raises(InputError, match=said), workers(None, count):
         raise AssertionError
 
 
 def test_an_address_where_nobody_answers_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(work, "ANSWERS_S", 0.5)
+    monkeypatch.setattr(processes, "ANSWERS_S", 0.5)
     with socket.socket() as silent:  # bound, so that no other test's scheduler gets the port, and not listening
         silent.bind(("127.0.0.1", 0))
         port = silent.getsockname()[1]
@@ -227,7 +228,7 @@ def test_directions_leave_away_what_cannot_be_run(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_process_has_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in work.THREADS:
+    for name in processes.THREADS:
         monkeypatch.delenv(name, raising=False)
     with workers(None, 1) as executor:
         assert executor.submit(threads).result() == 1
