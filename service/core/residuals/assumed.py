@@ -39,7 +39,12 @@ class Assumed:
 
     def step(self, z: FloatArray, fresh: FloatArray, r: FloatArray, advanced: Mask) -> FloatArray:
         """Shifts (H, K) of the residuals `r` (K,) at the samples `z` (nz,); only `advanced` (K,) states move on."""
-        assumed, _, _, x = self._graph(z=np.tile(z, (len(self.x), 1)), x=self.x)
+        same = np.empty((len(self.x), len(z)))
+        same[:] = z
+        assumed, _, _, x = self._graph(z=same, x=self.x)
+        if np.isfinite(assumed).all() and np.isfinite(x).all():
+            self.x = np.where(advanced[self._owner], x, self.x)
+            return np.asarray(r - assumed)
         good = np.asarray(np.isfinite(assumed).all(axis=1) & np.isfinite(x).all(axis=1))
         self.x = np.where(advanced[self._owner], np.where(good[:, None], x, fresh), self.x)
         with np.errstate(invalid="ignore"):

@@ -44,6 +44,7 @@ class Gate:
         self.held = np.zeros(len(inputs), dtype=np.bool_)
         self.stepped = np.zeros(len(inputs), dtype=np.bool_)
         self.jumped = np.zeros(len(inputs), dtype=np.bool_)
+        self._is_quiet = True  # nothing is held, has stepped or jumped, as nearly always
 
     def passed(self, z: FloatArray, usable: Mask) -> FloatArray:
         """Return the samples `z` (nz,), with those that are `held` back replaced.
@@ -60,6 +61,9 @@ class Gate:
         spread = np.sort(np.abs(last - middle), axis=0)[SAMPLES // 2]
         is_far = np.abs(now - middle) > np.maximum(FAR * spread, self.least)
         outlier = good & (self._seen > SAMPLES) & is_far
+        if self._is_quiet and not outlier.any():
+            self._passed = np.where(good, now, self._passed)
+            return z
         before, passes = self.held[self.columns], good & ~outlier
         by = np.abs(now - self._passed)
         stepped = before & passes & (np.abs(now - self._refused) < BACK * by)
@@ -68,6 +72,7 @@ class Gate:
         self.held[self.columns] = outlier
         self._passed = np.where(passes, now, self._passed)
         self._refused = np.where(outlier, now, self._refused)
+        self._is_quiet = not (outlier | stepped).any()
         if not outlier.any():
             return z
         z = z.copy()
