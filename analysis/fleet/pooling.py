@@ -18,17 +18,17 @@ FILE = "fleet.json"
 def pool(tuned: Mapping[str, Path], model: str, out: Path, note: Callable[[str], None]) -> str:
     """Write what these tunings, by vehicle, say of another one; return a sentence.
 
-    `model` is a vehicle's model file, for its time scale. A vehicle that was tuned with a fleet itself has no part in
-    it, as its thresholds are the fleet's.
+    `model` is a vehicle's model file, for its time scale. A vehicle that was tuned with a fleet or a base itself has no
+    part in it, as its thresholds are theirs.
     """
     own: dict[str, Tuning] = {}
     for vehicle, path in tuned.items():
         tuning = load_tuning(path)
-        if tuning.fleet is None:
+        if tuning.fleet is None and tuning.base is None:
             own[vehicle] = tuning
     left_out = len(tuned) - len(own)
     if left_out:
-        note(f"{left_out} vehicles were tuned with a fleet: they have no part in {FILE}")
+        note(f"{left_out} vehicles were tuned with a fleet or a base: they have no part in {FILE}")
     if not own:
         return f"no {FILE}"
     try:

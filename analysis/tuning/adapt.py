@@ -25,6 +25,7 @@ from faultline.analysis.tuning.evidence import no_surer, with_drifts
 from faultline.analysis.tuning.file import Tuning, load_tuning, model_digest
 from faultline.analysis.tuning.numbers import widest
 from faultline.analysis.tuning.plausible import PLAUSIBLE, of_baselines, of_means, steady
+from faultline.analysis.tuning.statistics import of_drive
 from faultline.analysis.tuning.thresholds import Seen, edge_last, more_of
 from faultline.analysis.tuning.vehicles import Vehicle, offsets, read
 from faultline.service.core.decision.consistency import of_evidence
@@ -73,6 +74,7 @@ def adapt(runnable: Runnable, recordings: Sequence[Path], path: Path, progress: 
         evidence=_evidence(base, detectors[: len(names)], bank, [drive.seen for drive in vehicle.drives]),
         inputs=widest([base.inputs, *(drive.inputs for drive in vehicle.drives)]),
         golden_z=golden(vehicle.drives[0].seen),
+        statistics=[of_drive(drive.seen) for drive in vehicle.drives],
         base=hashlib.sha256(path.read_bytes()).hexdigest(),
         claim=base.claim if base.claim is not None and base.claim.vehicles > 1 else None,  # of drives it was else
     )

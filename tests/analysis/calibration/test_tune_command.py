@@ -154,6 +154,7 @@ def test_adapting_keeps_the_base_and_brings_the_offsets(
     assert adapted.evidence.allowance == base.evidence.allowance
     assert adapted.base == hashlib.sha256(fleet.base.read_bytes()).hexdigest()
     assert adapted.claim is None  # the base's is of drives of one vehicle
+    assert adapted.statistics == own.statistics, "of this vehicle's drive"
     adapted_file = tmp_path / "adapted.json"
     adapted_file.write_bytes(msgspec.json.encode(adapted))
     dbc, bundle = tmp_path / "uds.dbc", tmp_path / "bundle"
