@@ -263,6 +263,9 @@ class _Reading:
 
     def _product(self, a: Tensor, b: Tensor) -> Tensor:
         """The matrix product over the last two axes."""
+        if not a.shape[-1]:  # a system without roots has no flows
+            shape = *np.broadcast_shapes(a.shape[:-2], b.shape[:-2]), a.shape[-2], b.shape[-1]
+            return np.full(shape, self._scalars.leaf("constant", 0.0), dtype=object)
         terms = self._each("mul", a[..., :, :, None], b[..., None, :, :])
         total = terms[..., 0, :]
         for k in range(1, terms.shape[-2]):

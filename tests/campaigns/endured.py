@@ -123,8 +123,8 @@ def subscriber(path: Path) -> None:
 
 
 def mutated(chance: random.Random, recorded: list[Frame]) -> Iterator[Frame]:
-    """Frames of every kind that a bus or somebody on it can make, at times that mostly go on."""
-    t = 0.0
+    """Frames of every kind that a bus or somebody on it can make, at times that mostly go on, after the recording."""
+    t = recorded[-1].t
     while True:
         t = max(0.0, t + chance.expovariate(500.0))
         if chance.random() < 1e-4:
@@ -149,9 +149,15 @@ def mutated(chance: random.Random, recorded: list[Frame]) -> Iterator[Frame]:
 
 
 def fuzz(count: int, seed: int) -> None:
-    """So many mutated frames through decoding, sampling, residuals, decision and events."""
+    """So many mutated frames through decoding, sampling, residuals, decision and events.
+
+    The recording with its fault comes first: what the first diagnosis takes of memory is made then.
+    """
     made = watched(load_bundle(GOLDEN / "bundle"), "truck", 1.0)
     recorded = [Frame(t, n, extended, data) for t, n, extended, data in open_log(GOLDEN / "log").relative()]
+    for frame in recorded:
+        list(made.hear([frame]))
+        made.taken()
     frames = mutated(random.Random(seed), recorded)  # noqa: S311 no secret
     for k in range(1, count + 1):
         frame = next(frames)

@@ -121,6 +121,12 @@ def test_zeros_and_ones_of_a_matrix_cost_nothing() -> None:
     assert [program.nodes[index].value for index in program.outputs["r"]] == [0.0, ("z", 0), 0.0, ("z", 2)]
 
 
+def test_a_sum_of_nothing_is_zero() -> None:
+    nothing: Constants = {"left": np.zeros((1, 0)), "right": np.zeros((0, COLUMNS))}
+    program = program_of(graph([node("MatMul", "left", "right", "a"), node("Add", "z", "a", "r")], nothing), 1)
+    assert [program.nodes[index].value for index in program.outputs["r"]] == [("z", k) for k in range(COLUMNS)]
+
+
 def test_the_same_operation_is_there_once() -> None:
     twice = [node("Mul", "z", "x", "a"), node("Mul", "z", "x", "b"), node("Add", "a", "b", "r")]
     program = program_of(graph(twice, {}), 1)
