@@ -1,4 +1,4 @@
-"""Where work is done side by side: processes of this machine, or the workers of a Dask scheduler."""
+"""Work is done side by side by processes of this machine, or by the workers of a Dask scheduler."""
 
 import gc
 import os

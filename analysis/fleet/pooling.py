@@ -1,4 +1,4 @@
-"""What a fleet's tunings say of another vehicle, in `OUT/fleet.json`: statistics are added, logs never held."""
+"""`OUT/fleet.json` holds what a fleet's tunings say of another vehicle: statistics are added, logs never held."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -17,7 +17,7 @@ from faultline.service.core.residuals.graph_file import IR_VERSIONS, OPERATORS, 
 Array = npt.NDArray[np.float64]
 
 BY_ROW = "row"
-"""What the names of constants begin with that differ between the rows of a batch."""
+"""Names of constants that differ between the rows of a batch begin with this."""
 
 
 class Writer:

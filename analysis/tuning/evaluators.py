@@ -1,4 +1,4 @@
-"""What evaluates the drives that tuning leaves out: native code where it can be had, with the same decisions."""
+"""An evaluator of the drives that tuning leaves out is native code where it can be had, with the same decisions."""
 
 from faultline.analysis.graph.bank import GRAPH
 from faultline.analysis.graph.runnable import Runnable
@@ -29,6 +29,6 @@ def _compiled(runnable: Runnable, manifest: Manifest) -> Evaluator | None:
     hypotheses = runnable.of_hypotheses(evidence).get(evidence.graph or "")
     try:
         kernels = kernels_of(runnable.graphs[GRAPH], hypotheses, len(evidence.hypotheses))
-    except NotCompiledError:
+    except (NotCompiledError, OSError):  # networks, or no place to keep what is compiled: as on the vehicle then
         return None
     return CompiledEvaluator(manifest, kernels)

@@ -151,9 +151,8 @@ def with_usual(
         return []
     trials = [trial_of(hypotheses[row], bank.model) for row in smallest.values()]
     steps = np.zeros((len(trials), len(bank.model.known)))
-    shifts = -_shifts(
-        bank, recordings, trials, stand_ins, steps, moves
-    )  # under the fault it is the measured that moves
+    # under the fault it is the measured that moves
+    shifts = -_shifts(bank, recordings, trials, stand_ins, steps, moves)
     usual = dict(zip(smallest.values(), shifts.tolist(), strict=True))
     return [msgspec.structs.replace(h, usual=usual.get(row)) for row, h in enumerate(hypotheses)]
 

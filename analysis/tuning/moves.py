@@ -1,4 +1,4 @@
-"""How far residuals move with other values of parameters, faults and samples, in fault-free recordings."""
+"""Residuals of fault-free recordings move with other values of parameters, faults and samples."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Moves:
-    """How far residuals move with trials in recordings, each computed once: folds share most of their drives."""
+    """Computes how far residuals move with trials in recordings, each once: folds share most of their drives."""
 
     def __init__(self) -> None:
         self._known: dict[tuple[object, ...], tuple[object, dict[int, Array]]] = {}

@@ -131,6 +131,8 @@ def prepare(work: Path, processes: int) -> Record:
     costs = {}
     for name, words in orders.items():
         spent = command("fleet", name, *words)
+        if spent.code:
+            raise SystemExit(f"fleet {name}: some build failed; {made}/vehicle=*/{name}.txt says why")
         costs[name] = {**spent._asdict(), "hours": hours[name] * SECONDS / 3600.0}
         print(name, costs[name], flush=True)
     done.write_text(json.dumps(costs))

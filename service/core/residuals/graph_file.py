@@ -13,20 +13,8 @@ from faultline.service.core.errors import InputError
 
 OPERATORS = frozenset(
     {"Abs", "Add", "Cast", "Concat", "Div", "Exp", "Expand", "Gather", "Identity", "Log", "MatMul", "Max", "Mul"}
-    | {
-        "Reciprocal",
-        "ReduceMean",
-        "ReduceMin",
-        "ReduceSum",
-        "Relu",
-        "Reshape",
-        "Shape",
-        "Slice",
-        "Sqrt",
-        "Sub",
-        "Tanh",
-        "Transpose",
-    }
+    | {"Reciprocal", "ReduceMean", "ReduceMin", "ReduceSum", "Relu", "Reshape", "Shape", "Slice", "Sqrt", "Sub"}
+    | {"Tanh", "Transpose"}
 )
 OPSETS = (21,)
 IR_VERSIONS = (10,)
