@@ -68,7 +68,7 @@ def vehicle(shop: Workshop) -> Record:
         base, of_bench = _trained(Training(layout, bench, DEFAULT, 0), bench)
         others = [made(truck, "validation", folder, 6, 480.0), made(truck, "drive", folder, 7, 480.0)]
         for minutes in MINUTES:
-            short = _samples(made(truck, "drive", folder, 5, 60.0 * minutes + PRESSURE_S))
+            short = _samples(made(truck, "drive", folder / str(minutes), 5, 60.0 * minutes + PRESSURE_S))
             begin = Saved(base.best, base.scaling, DEFAULT, bench.digests)
             adapting = Training(layout, short, begin.adapting(), 0, begin)
             adapting.run(lambda _: None, lambda: None)
