@@ -23,6 +23,9 @@ from faultline.service.core.errors import InputError
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.event import Diagnosis, Event
 from faultline.service.core.residuals.observer import Tick
+from faultline.service.core.signals.columns import CanSignals
+from faultline.service.logs.batch import batch_of
+from faultline.service.logs.batch import Frame as LogFrame
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.recording import record
 from faultline.testbench.request import Request
@@ -176,9 +179,9 @@ def sent(case: Case) -> Iterable[Frame]:
 
 
 def watched(bundle: Bundle, name: str, drive: Iterable[Frame], native: bool = False) -> Watched:
-    """Frames straight into the vehicle's monitor: what a log of them would give, without writing one.
+    """What the vehicle's monitor makes of a log of these frames, without writing one.
 
-    With `native` code for the residuals, which gives the same events.
+    With `native` code for the residuals, which gives the same events, and which networks do not have.
     """
     manifest, ticks, blind = bundle.manifest, [], []
     alarms: list[tuple[float, str]] = []
@@ -194,7 +197,8 @@ def watched(bundle: Bundle, name: str, drive: Iterable[Frame], native: bool = Fa
 
     evaluator = CompiledEvaluator(manifest, kernels_of_bundle(bundle)) if native else bundle.bank()
     monitor = Monitor(manifest, evaluator, bundle.table, name, bundle.id, watch)
-    told = list(monitor.log((f.t, f.frame_id, True, f.data) for f in drive))
+    batch = batch_of(LogFrame(f.t, f.frame_id, True, f.data) for f in drive)
+    told = list(monitor.signals(CanSignals(bundle.table, lambda: iter([batch]))))
     origin_s = ticks[0].t_s
     dose = [channel.signal for channel in manifest.inputs].index("dc_dose")
     z = np.array([tick.z for tick in ticks])

@@ -137,7 +137,7 @@ def judged_by(shop: Workshop) -> tuple[list[Record], dict[str, Cost]]:
         drive = list(frames(case.request, load_dbc(), [run]))
         visible = changes(case.request, run, run_of(case.healthy)) if "fA_p" in dict(case.faults) else True
         for method, bundle in every.items():
-            seen = watched(bundle, case.name, drive)
+            seen = watched(bundle, case.name, drive, native=method == "equations")
             alarmed = sorted({test for t, test in seen.alarms if t >= case.onset_s}) if case.faults else []
             row = told_of(case, seen, bundle.manifest.period_s)
             told.append({**row, "method": method, "alarmed": alarmed, "changes": visible})
