@@ -25,7 +25,7 @@ from faultline.service.core.records.event import Diagnosis, Event
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.columns import CanSignals
 from faultline.service.logs.batch import batch_of
-from faultline.service.logs.batch import Frame as LogFrame
+from faultline.service.logs.report import Frame as LogFrame
 from faultline.testbench.bus import load_dbc
 from faultline.testbench.recording import record
 from faultline.testbench.request import Request
