@@ -2,11 +2,13 @@
 
 The mean of a block of n ticks in mode m, of the K generators of the evidence, is
 
-    y = offset_m + D_m a + b_m + G l + v + e,      e ~ N(0, V_m / n)
+    y = offset_m + D_m a + b_m + G l + v + e,      e ~ N(0, V_m o part)
 
 with the vehicle's offset, the drive's baseline along the model's own drifts a (viscosity, zeros of the sensors, level
 in the tank; standard normal) and of each mean by itself b ~ N(0, allowance^2), and the visit's effect v ~ N(0, U_m),
-drawn anew at every visit; a network's error adds to V / n (`core.decision.model_error`). a, b and l move as
+drawn anew at every visit; a network's error adds to that of e (`core.decision.model_error`). Noise that residuals have
+in common cancels in their differences where they could tell at the same ticks only, so `part`, element by element, is
+1 / n there, and less where ticks of one are missing (`core.decision.blocks`). a, b and l move as
 Ornstein-Uhlenbeck processes with the correlation time `DRIVE`, v with `VISIT`:
 
     x_k = F x_{k-1} + w,   F = exp(-dt / tau),   w ~ N(0, P_m - F P_m F),   P_m = diag(1, allowance^2, 1, U_m)
@@ -148,8 +150,7 @@ class BaselineFilter:
         P = FF * self.state.covariance + (1.0 - FF) * model.stationary[mode]
         seen = block.ticks > 0
         H = model.observed(block) * seen[..., None]
-        parts = 1.0 / np.sqrt(np.maximum(block.ticks, 1.0))
-        noise = model.noise[mode] * (parts[:, :, None] * parts[:, None, :])
+        noise = model.noise[mode] * block.part
         noise += block.excess[:, :, None] * np.eye(seen.shape[1])
         R = np.where(seen[:, :, None] & seen[:, None, :], noise, np.eye(seen.shape[1]))
         PH = P @ H.swapaxes(1, 2)

@@ -25,9 +25,10 @@ FEWEST = 1 / 3
 class Block(NamedTuple):
     """A block of B logs: when it ended (B,) [s], its mode (B,), and whether it begins a visit (B,).
 
-    `ticks` (B, K) is the number of ticks of each generator in its `mean` (B, K), 0 where too few could tell; `shift`
-    (B, H, K) is the mean shift of the residuals by each hypothesis, `excess` (B, K) the mean of the variance of a
-    network's error (`core.decision.model_error`).
+    `ticks` (B, K) is the number of ticks of each generator in its `mean` (B, K), 0 where too few could tell. The noise
+    of the means has `part` (B, K, K) of a tick's covariance: n_ij / (n_i n_j), with n_ij the ticks at which both could
+    tell. `shift` (B, H, K) is the mean shift of the residuals by each hypothesis, `excess` (B, K) the mean of the
+    variance of a network's error (`core.decision.model_error`).
     """
 
     end_s: FloatArray
@@ -35,6 +36,7 @@ class Block(NamedTuple):
     begins: Mask
     ticks: FloatArray
     mean: FloatArray
+    part: FloatArray
     shift: FloatArray
     excess: FloatArray
 
@@ -77,6 +79,7 @@ class BlockMeans:
                 begins=np.array([self._begins]),
                 ticks=np.where(counts, ticks, 0.0)[None],
                 mean=(self._sum(usable, [each.r for each in self._ticks]) / most)[None],
+                part=_part(usable, most)[None],
                 shift=(self._shift(usable) / most)[None],
                 excess=(self._excess(usable) / most)[None],
             )
@@ -99,6 +102,14 @@ class BlockMeans:
         """The sums (K,) of the variances of networks' errors."""
         said = [each.excess for each in self._ticks]
         return self._sum(usable, said) if said[0].ndim else np.zeros(len(self._columns))
+
+
+def _part(usable: Mask, ticks: FloatArray) -> FloatArray:
+    """The covariance (K, K) of means of white noise, in parts of a tick's, over the ticks that are `usable` (n, K)."""
+    if usable.all():
+        return np.full((len(ticks), len(ticks)), 1.0 / len(usable))
+    counted = usable.astype(np.float64)
+    return np.asarray((counted.T @ counted) / np.outer(ticks, ticks))
 
 
 def side_by_side(logs: Sequence[Sequence[Block]]) -> Iterator[Block]:

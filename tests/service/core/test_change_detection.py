@@ -50,6 +50,20 @@ MODEL = BaselineModel(evidence(), TIME)
 SEGMENTS = Hypotheses(evidence()).segments
 
 
+def block_of(end_s: float, mode: int, begins: bool, ticks: int, mean: Array) -> Block:
+    """A block in which both generators could tell at all ticks."""
+    return Block(
+        end_s=np.array([end_s]),
+        mode=np.array([mode]),
+        begins=np.array([begins]),
+        ticks=np.full((1, 2), float(ticks)),
+        mean=mean,
+        part=np.full((1, 2, 2), 1.0 / ticks),
+        shift=FAULT[None, None],
+        excess=NOTHING,
+    )
+
+
 def drawn(rng: np.random.Generator, blocks: int, onset: int = 10**9, size: float = 0.0) -> list[Block]:
     """Blocks of a drive, four a visit, drawn from the model; from the onset on with a fault."""
     x = rng.multivariate_normal(np.zeros(MODEL.states), MODEL.stationary[IDLE])
@@ -63,10 +77,7 @@ def drawn(rng: np.random.Generator, blocks: int, onset: int = 10**9, size: float
         x = F * x + rng.multivariate_normal(np.zeros(MODEL.states), P - F[:, None] * P * F)
         y = MODEL.offset[mode] + MODEL.observe[mode] @ x + NOISE / np.sqrt(TICKS) * rng.standard_normal(2)
         y = y + (size * FAULT if k >= onset else 0.0)
-        ticks = np.full((1, 2), float(TICKS))
-        made.append(
-            Block(np.array([end_s]), np.array([mode]), np.array([begins]), ticks, y[None], FAULT[None, None], NOTHING)
-        )
+        made.append(block_of(end_s, mode, begins, TICKS, y[None]))
     return made
 
 
@@ -235,6 +246,25 @@ def test_a_block_is_of_one_visit_and_of_ticks_that_can_tell() -> None:
     ]
     assert made[0].mean[0].tolist() == [1.0, 3.0]
     assert float(made[0].end_s[0]) == pytest.approx(14 * TIME.period_s)
+    np.testing.assert_allclose(made[0].part[0], [[1 / 15, 1 / 15], [1 / 15, 1 / 8]])
+    assert made[2].part[0, 0, 1] == pytest.approx(7 / (15 * 7))
+
+
+def test_noise_in_common_cancels_at_the_same_ticks_only() -> None:
+    """Residuals with the same noise, each with other ticks missing: their difference is as large as is expected."""
+    alike = (NOISE**2 * np.array([[1.0, 1.0 - 1e-6], [1.0 - 1e-6, 1.0]])).tolist()
+    given = evidence(noise=[alike] * 4, visit=[np.zeros((2, 2)).tolist()] * 4, allowance=[[1e-3, 1e-3]] * 4)
+    rng, model, white = np.random.default_rng(1), BaselineModel(given, TIME), []
+    for _ in range(1000):
+        blocks, known = BlockMeans(given, NAMES, TIME), BaselineFilter(model)
+        lost = rng.choice(TICKS, 4, replace=False).reshape(2, 2)
+        for tick in range(TICKS):
+            r = np.array([1000.0, 2000.0]) + NOISE * rng.standard_normal()
+            usable = np.array([tick not in lost[0], tick not in lost[1]])
+            block = blocks.add(tick, IDLE, Residuals(r, r, r, usable, np.zeros((1, 2))))
+        assert block is not None
+        white.append(known.step(block).white[0])
+    assert np.mean(np.square(white)[:, 1]) == pytest.approx(1.0, abs=0.15)
 
 
 def test_detectors_see_what_is_unknown_of_the_baseline_as_their_own_spread_and_followers_go_with_it() -> None:
@@ -247,8 +277,7 @@ def test_detectors_see_what_is_unknown_of_the_baseline_as_their_own_spread_and_f
     known = BaselineFilter(MODEL)
     for k in range(40):
         y = np.array([[1080.0, 2080.0]])
-        begins, ticks = np.array([k == 0]), np.full((1, 2), 15.0)
-        known.step(Block(np.array([3.0 * k]), np.array([IDLE]), begins, ticks, y, FAULT[None, None], NOTHING))
+        known.step(block_of(3.0 * k, IDLE, k == 0, 15, y))
     baseline.follow(known.state)
     for mode in (EDGE, IDLE, PARTIAL):
         assert np.abs(baseline.taken_off(mode, away) - [1000.0, 2000.0, 500.0]).max() < 0.6 * NOISE
@@ -263,8 +292,7 @@ def test_a_network_goes_with_its_twin_but_for_how_far_the_two_stray_apart() -> N
     known = BaselineFilter(MODEL)
     for k in range(40):
         y = np.array([[1080.0, 2080.0]])
-        begins, ticks = np.array([k == 0]), np.full((1, 2), 15.0)
-        known.step(Block(np.array([3.0 * k]), np.array([IDLE]), begins, ticks, y, FAULT[None, None], NOTHING))
+        known.step(block_of(3.0 * k, IDLE, k == 0, 15, y))
     baseline.follow(known.state)
     level = baseline.taken_off(IDLE, np.array([1080.0, 2080.0, 130.0]))
     assert level[2] - 50.0 == pytest.approx(level[0] - 1000.0, abs=1e-6)
