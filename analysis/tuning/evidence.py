@@ -21,6 +21,7 @@ from faultline.analysis.tuning.statistics import of_drive
 from faultline.analysis.tuning.straying import (
     Supposed,
     as_seen,
+    doubted,
     noise,
     positive,
     strays,
@@ -83,7 +84,8 @@ def gather(
             drifts = np.concatenate([drifts, supposed_drifts(away, everywhere)])
         if len(recordings) >= ENOUGH:
             seen = strays(apart or recordings, order, around)[:, described]
-            own, drifts, sizes = as_seen(seen, everywhere, drifts, K)
+            larger = doubted(len(recordings) - 1.0)
+            own, drifts, sizes = (larger * each for each in as_seen(seen, everywhere, drifts, K))
         allowance = np.hypot(own, ALLOWANCE * spread)
     assumed = hypotheses_of(bank.model) if bank.has_equations else biases_of(bank.model, _samples(recordings))
     hypotheses = with_usual(assumed, bank.only(rows), recordings, described, moves)

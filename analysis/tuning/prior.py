@@ -7,7 +7,8 @@ The mean residuals y of drive d of vehicle v, over all modes and generators, are
 B and W are made of the drifts that the model names (times a size), of directions in which means stray together, and of
 what each strays by itself. Covariances of ticks and visits differ from vehicle to vehicle as scaled inverse chi-square
 variables do. All of that is found from sufficient statistics of drives (`analysis.tuning.statistics`), by moments and
-expectation maximisation (Efron, Morris, JASA 1975; Gelman et al., Bayesian Data Analysis, 3rd ed., 5.4 and 11.6).
+expectation maximisation (Efron, Morris, JASA 1975; Gelman et al., Bayesian Data Analysis, 3rd ed., 5.4 and 11.6). A few
+vehicles show B and W badly, and what is not seen there would be a fault: upper bounds are taken.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +21,7 @@ import numpy.typing as npt
 
 from faultline.analysis.tuning.file import Tuning
 from faultline.analysis.tuning.statistics import OfDrive, noise_of, visits_of
-from faultline.analysis.tuning.straying import SUPPOSED, VISIT, Supposed, as_seen
+from faultline.analysis.tuning.straying import SUPPOSED, VISIT, Supposed, as_seen, doubted
 from faultline.service.core.decision.straying import MINIMUM_TICKS
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import CusumDetector, Detector, Modes
@@ -43,7 +44,8 @@ LEFT = 0.01
 class Scatter(msgspec.Struct, frozen=True):
     """A covariance of means: `own` (modes, T) standard deviations, and `drifts` (n, modes, T) of all together.
 
-    The drifts that the model names come besides, `sizes` times as large as it says.
+    The drifts that the model names come besides, `sizes` times as large as it says. All of that is an upper bound: one
+    fleet in ten strays further (`analysis.tuning.straying.doubted`).
     """
 
     own: list[list[float]]
@@ -56,6 +58,10 @@ class Scatter(msgspec.Struct, frozen=True):
         along = np.array(self.sizes)[:, None] * named.reshape(-1, D)
         others = np.array(self.drifts).reshape(-1, D)
         return np.asarray(np.diag(np.ravel(self.own) ** 2) + along.T @ along + others.T @ others)
+
+    def times(self, factor: float) -> "Scatter":
+        """Return it with so many times the standard deviations."""
+        return Scatter(*((factor * np.array(each)).tolist() for each in (self.own, self.drifts, self.sizes)))
 
 
 class Usual(msgspec.Struct, frozen=True):
@@ -139,6 +145,7 @@ def pooled(tunings: Mapping[str, Tuning], time: TimeScale) -> Prior:
     mean, count = _mean(means), len(means)
     within = _scatter(away, spread, named)
     total = _scatter(np.nan_to_num(means - mean) * np.sqrt(count / (count - 1.0)), spread, named)
+    between = _less(total, within, float(np.mean([1.0 / len(drives) for drives in fleet])))
     noise = _usual(fleet, noise_of, [np.diag(each**2) for each in spread], float(len(generators)))
     levels = [each / time.ticks(VISIT) for each in np.array(noise.covariance)]
     return Prior(
@@ -151,8 +158,8 @@ def pooled(tunings: Mapping[str, Tuning], time: TimeScale) -> Prior:
         hours=sum(drive.hours for drives in fleet for drive in drives),
         recordings=[sha256 for each in tunings.values() for sha256 in (*each.recordings, *each.calibrated)],
         mean=mean.tolist(),
-        between=_less(total, within, float(np.mean([1.0 / len(drives) for drives in fleet]))),
-        within=within,
+        between=between.times(doubted(count - 1.0)),
+        within=within.times(doubted(float(sum(map(len, fleet)) - count))),
         noise=noise,
         visit=_usual(fleet, visits_of, levels, SUPPOSED),
         detectors=_median([each.detectors for each in tunings.values()]),

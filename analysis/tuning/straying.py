@@ -20,8 +20,9 @@ VISIT, SUPPOSED = Span(settlings=0.5, periods=50), 5.0
 from so many visits: pulses of an actuator and the sampling beat, at a level that tuning has not seen."""
 LARGER = 0.01
 """One vehicle in so many has larger effects of a visit than is supposed after a few of them."""
-SEEN_PART = 0.9  # of that straying, in spreads: by a few directions, the rest is each mean's own
 PER_DIRECTION = 3  # recordings, at least
+DOUBTED = 0.1
+"""One vehicle in so many, or one fleet, strays further from drive to drive than is said of it."""
 STEPS = 100  # of expectation maximisation
 LEAST_OWN = 0.01  # of the spread: what each mean strays by itself, so that there is something to divide by
 
@@ -86,7 +87,8 @@ def as_seen(means: Array, spread: Array, drifts: Array, K: int) -> tuple[Array, 
         mean = sum_k x_k drift_k + own,
 
     then the directions in which what is left strays together. The edge, which is no evidence, is left as it is. Sizes
-    and directions are those of the first K generators, and say how far the others move with them.
+    and directions are those of the first K generators, and say how far the others move with them. They may be
+    larger by `doubted`.
     """
     R, T, C = len(means), means.shape[2], means.shape[1] - 1
     all_y, all_W = (means / spread)[:, 1:], (drifts / spread)[:, 1:]
@@ -100,12 +102,11 @@ def as_seen(means: Array, spread: Array, drifts: Array, K: int) -> tuple[Array, 
         size = np.sqrt((x**2).mean(axis=0) + V.diagonal())
         own = np.sqrt(((y - x @ W) ** 2).mean(axis=0) + np.einsum("kd,kl,ld->d", W, V, W))
         own = np.maximum(own, LEAST_OWN)
-    u = _directions(y - x @ W)
-    left = (y - x @ W) - u @ (u.T @ (y - x @ W))
+    rest = y - x @ W
+    u = _directions(rest)
+    left = ((rest - u @ (u.T @ rest)) ** 2).sum(axis=0) / (R - u.shape[1])
     alone = np.abs(means[..., :K]).max(axis=0) / spread[:, :K]
-    alone[1:] = np.sqrt(np.maximum((left**2).mean(axis=0) + own**2 - ((y - x @ W) ** 2).mean(axis=0), 0.0)).reshape(
-        C, K
-    )
+    alone[1:] = np.sqrt(np.maximum(left + own**2 - (rest**2).mean(axis=0), 0.0)).reshape(C, K)
     more = np.tensordot(u.T, all_y - np.tensordot(x, all_W, axes=1), axes=1) / np.sqrt(R)  # (n, modes, T)
     found = np.zeros((len(W) + len(more), len(means[0]), T))
     found[:, 1:] = np.concatenate([size[:, None, None] * all_W, more])
@@ -113,13 +114,28 @@ def as_seen(means: Array, spread: Array, drifts: Array, K: int) -> tuple[Array, 
     return alone * spread[:, :K], found * spread, size
 
 
+def doubted(freedom: float) -> float:
+    """Return how many times a standard deviation that so many degrees of freedom show may be as large."""
+    return float(np.sqrt(freedom / chdtri(freedom, 1.0 - DOUBTED)))
+
+
 def _directions(y: Array) -> Array:
-    """How much each drive has of n directions in which deviations (R, means) stray together: unit vectors (R, n)."""
-    R = len(y)
-    drives, size, _ = np.linalg.svd(y, full_matrices=False)
-    told = np.cumsum(size**2) / max(float((size**2).sum()), 1e-300)
-    kept = min(int(np.searchsorted(told, SEEN_PART)) + 1, R // PER_DIRECTION)
-    return np.asarray(drives[:, :kept])
+    """How much each drive has of n directions in which deviations (R, means) stray together: unit vectors (R, n).
+
+    Those are the directions whose eigenvalue of the correlation matrix is larger than R drives would show one if what
+    the larger ones leave did not stray together: than the edge of Marchenko and Pastur's distribution, after the
+    parallel analysis of Horn (Psychometrika 1965).
+    """
+    R, D = y.shape
+    drives, size, _ = np.linalg.svd(y / np.sqrt((y**2).mean(axis=0) + 1e-300), full_matrices=False)
+    eigenvalues = size**2 / R
+    together = 0
+    while together < R // PER_DIRECTION and together < D:
+        left = D - together
+        if eigenvalues[together] <= eigenvalues[together:].sum() / left * (1.0 + np.sqrt(left / R)) ** 2:
+            break
+        together += 1
+    return np.asarray(drives[:, :together])
 
 
 def supposed_drifts(strays: Array, spread: Array) -> Array:
