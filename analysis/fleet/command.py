@@ -83,6 +83,8 @@ def _add_diagnose(commands: "argparse._SubParsersAction[Parser]") -> None:
     parser.add_argument("drives", nargs="+", help="folders, log files, globs or URLs of recordings and logs")
     parser.add_argument("--bundle", required=True, help="the bundle folder; {vehicle} in it stands for the vehicle")
     parser.add_argument("--out", type=Path, required=True, help="the folder of the tables")
+    kinds = "vin", "position"
+    parser.add_argument("--with", dest="asked", nargs="+", default=[], choices=kinds, help="what is left out otherwise")
     _add_cluster(parser)
     parser.set_defaults(run=_diagnose)
 
@@ -117,7 +119,7 @@ def _diagnose(options: argparse.Namespace) -> int:
     from faultline.analysis.fleet.drives import find_drives
 
     drives = find_drives(options.drives)
-    wish = Wish(options.bundle, options.out.absolute())
+    wish = Wish(options.bundle, options.out.absolute(), tuple(sorted({*options.asked})))
     verdicts: Counter[str] = Counter()
     old, hours, began = 0, 0.0, time.monotonic()
     total = sum(drive.size for drive in drives) or 1

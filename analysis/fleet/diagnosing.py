@@ -16,6 +16,7 @@ from faultline.analysis.compiled.evaluator import CompiledEvaluator, kernels_of_
 from faultline.analysis.compiled.kernels import Kernels
 from faultline.analysis.fleet import tables
 from faultline.analysis.fleet.drives import VEHICLE, Drive, at_hand, date_of, digest, safe, start_of
+from faultline.analysis.fleet.identity import identity_of
 from faultline.service.bundle.files import whole
 from faultline.service.bundle.load import Bundle, check_fits, load_bundle, verify_golden
 from faultline.service.core.errors import InputError
@@ -34,10 +35,14 @@ FORM = "1"
 
 @dataclass(frozen=True)
 class Wish:
-    """What is done with every drive: diagnosed with the bundle at this path, its rows written under `out`."""
+    """What is done with every drive: diagnosed with the bundle at this path, its rows written under `out`.
+
+    With VIN and position where they are `asked` for (`analysis.fleet.identity`).
+    """
 
     bundle: str
     out: Path
+    asked: tuple[str, ...] = ()
 
 
 class Outcome(NamedTuple):
@@ -77,10 +82,11 @@ def _diagnosed(drive: Drive, wish: Wish) -> Outcome:
             folder = Path(wish.bundle.replace(VEHICLE, safe(vehicle)))
             key = _key(digest(path), _bundle_id(folder), vehicle)
             if there := tables.files_of(wish.out, vehicle, key):
-                verdict, hours = tables.verdict_in(there[0])
-                if verdict != FAILED:  # what failed may have had another cause than the log
+                verdict, hours, asked = tables.verdict_in(there[0])
+                # what failed may have had another cause than the log
+                if verdict != FAILED and {*asked} == {*wish.asked}:
                     return Outcome(drive, True, verdict, hours)
-            made = _made(path, folder)
+            made = _made(path, folder, wish.asked)
     except Exception as error:  # noqa: BLE001  of thousands of logs one must not end the others: the row says it
         known = isinstance(error, InputError | OSError)
         made = _failed(str(error) if known else f"a defect of faultline, please report it: {error!r}")
@@ -114,8 +120,8 @@ def _write(wish: Wish, drive: Drive, vehicle: str, key: str, made: _Made) -> Out
     return Outcome(drive, False, row["verdict"], row.get("span_s", 0.0) / 3600.0)
 
 
-def _made(path: Path, folder: Path) -> _Made:
-    """Diagnose the log at `path` with the bundle in a folder.
+def _made(path: Path, folder: Path, asked: Sequence[str]) -> _Made:
+    """Diagnose the log at `path` with the bundle in a folder; `asked` is what its row says besides.
 
     Raises:
         InputError: one of them cannot be read, or they do not fit together.
@@ -124,7 +130,8 @@ def _made(path: Path, folder: Path) -> _Made:
     bundle = load_bundle(folder, senders=log.senders, signals=log.signals_of_dbc)
     _check_golden(bundle)
     check_fits(bundle, log, folder, path)
-    return _Made(*_rows(log, bundle), start_of(log))
+    row, events = _rows(log, bundle)
+    return _Made({**row, "asked": [*asked], **identity_of(log, asked)._asdict()}, events, start_of(log))
 
 
 def _rows(log: Log, bundle: Bundle) -> tuple[dict[str, Any], list[dict[str, Any]]]:

@@ -53,6 +53,10 @@ DRIVE = pyarrow.schema(
         ("native", pyarrow.bool_()),
         ("cpu_s", _FLOAT),
         ("version", _TEXT),
+        ("asked", _TEXTS),
+        ("vin", _TEXT),
+        ("latitude", _FLOAT),
+        ("longitude", _FLOAT),
     ]
 )
 EVENT = pyarrow.schema(
@@ -98,10 +102,10 @@ def write(path: Path, schema: pyarrow.Schema, rows: Sequence[Row]) -> None:
         parquet.write_table(pyarrow.Table.from_pylist(list(rows), schema), partial, compression="zstd")
 
 
-def verdict_in(path: Path) -> tuple[str, float]:
-    """Return the verdict in a drive's file, and the hours that it has."""
-    row = parquet.read_table(path, columns=["verdict", "span_s"], partitioning=None).to_pylist()[0]
-    return row["verdict"], (row["span_s"] or 0.0) / 3600.0
+def verdict_in(path: Path) -> tuple[str, float, list[str]]:
+    """Return the verdict in a drive's file, the hours that it has, and what was asked for besides."""
+    row = parquet.read_table(path, schema=DRIVE, partitioning=None).to_pylist()[0]
+    return row["verdict"], (row["span_s"] or 0.0) / 3600.0, row["asked"] or []
 
 
 def drives(out: Path) -> Iterator[dict[str, Any]]:
@@ -109,5 +113,6 @@ def drives(out: Path) -> Iterator[dict[str, Any]]:
     if not any((out / DRIVES).glob("vehicle=*")):
         return
     kinds = pyarrow.schema([("vehicle", _TEXT), ("date", pyarrow.date32())])
-    table = parquet.read_table(out / DRIVES, partitioning=dataset.partitioning(kinds, flavor="hive"))
+    schema = pyarrow.unify_schemas([DRIVE, kinds])
+    table = parquet.read_table(out / DRIVES, schema=schema, partitioning=dataset.partitioning(kinds, flavor="hive"))
     yield from table.sort_by([("vehicle", "ascending"), ("start", "ascending"), ("url", "ascending")]).to_pylist()

@@ -126,6 +126,39 @@ def test_a_drive_without_a_verdict_ends_no_finding(out: Path) -> None:
     assert fleet_of([*rows, sound, rows[-1]]).findings[0].of == 4
 
 
+def with_identity(folder: Path) -> Path:
+    """The golden recording with a VIN in three parts, and two positions, the last of which is an error."""
+    recording(folder, "a", 1)
+    lines = (folder / "can.log").read_text().splitlines()
+    at = lines[100].split()[:2]
+    vin = b"1FAULTLINE0000017*"
+    parts = [bytes([k + 1]) + vin[7 * k : 7 * k + 7].ljust(7, b"\xff") for k in range(3)]
+    told = [("1CECFF00", bytes([0x20, len(vin), 0, 3, 0xFF, 0xEC, 0xFE, 0x00]))]
+    told += [("1CEBFF00", part) for part in parts]
+    told += [("18FEF31C", bytes.fromhex("00D5239B402B7F82")), ("18FEF31C", bytes.fromhex("FFFFFFFFFFFFFFFE"))]
+    lines[101:101] = [" ".join([*at, f"{identifier}#{data.hex().upper()}"]) for identifier, data in told]
+    (folder / "can.log").write_text("\n".join(lines) + "\n")
+    return folder
+
+
+def test_vin_and_position_are_left_out_unless_asked_for(tmp_path: Path) -> None:
+    with_identity(tmp_path / "logs" / "drive")
+    [drive] = find_drives([str(tmp_path / "logs")])
+
+    def row(*asked: str) -> dict[str, object]:
+        [outcome] = diagnosed([drive], Wish(str(GOLDEN / "bundle"), tmp_path / "out", asked))
+        [found] = tables.drives(tmp_path / "out")
+        return {"old": outcome.is_old, **{name: found[name] for name in ("vin", "latitude", "longitude")}}
+
+    nothing = {"old": False, "vin": None, "latitude": None, "longitude": None}
+    assert row() == nothing
+    everything = {"old": False, "vin": "1FAULTLINE0000017", "latitude": 50.2816768, "longitude": 8.9372224}
+    assert row("position", "vin") == everything
+    assert row("vin", "position") == {**everything, "old": True}
+    assert row("vin") == {**nothing, "vin": "1FAULTLINE0000017"}
+    assert row() == nothing, "what is not asked for any more is gone"
+
+
 def test_logs_of_another_file_system(tmp_path: Path) -> None:
     memory = fsspec.filesystem("memory")
     memory.put(str(GOLDEN / "log"), "/fleet/e/drive", recursive=True)
