@@ -25,7 +25,7 @@ def trained_anew(
 
     Returns the names of these tests; none where the training diverges, as one on a short recording may.
     """
-    anew = Training(layout, samples, begin.recipe, seed, None, device, begin.scaling)
+    anew = Training(layout, samples, begin.recipe, seed, None, device, adapted.scaling)
     try:
         anew.run(tell, lambda: None)
     except InputError:  # what was adapted stays as good as it is

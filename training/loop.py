@@ -18,6 +18,7 @@ from faultline.training.linear import linear_outputs, linear_rates
 from faultline.training.network import SPEED, Networks
 from faultline.training.recipe import Phase, Recipe
 from faultline.training.reckoned import Equations, Example, reckoned
+from faultline.training.rescaling import at_least, rescaled
 from faultline.training.samples import Samples
 from faultline.training.scaling import Scaling, scaling_of
 from faultline.training.varied import varied
@@ -67,7 +68,7 @@ class Begin(Protocol):
 
     @property
     def scaling(self) -> Scaling:
-        """Kept as it is."""
+        """Of these weights."""
 
 
 class Training:
@@ -92,7 +93,9 @@ class Training:
         equations = None if layout.model.without_formula else Equations(layout)
         examples = reckoned(layout, samples, equations)
         others = varied(layout, examples, equations, recipe.varied, recipe.copies, seed)
-        scaling = scaling or (begin.scaling if begin else scaling_of(examples, recipe.scale))
+        if scaling is None:
+            own = scaling_of(examples, recipe.scale)
+            scaling = at_least(own, begin.scaling) if begin else own
         self.scaling = scaling
         self.layout, self.recipe = layout, recipe
         self.recordings = [stretch.recording for stretch in samples.stretches]
@@ -100,7 +103,7 @@ class Training:
         self.windows = Windows(layout, examples, others, scaling, recipe.folds, seed)
         self.networks = Networks(layout, recipe, recipe.members)
         if begin:
-            self.networks.load_state_dict(begin.weights)
+            self.networks.load_state_dict(rescaled(begin.weights, layout, recipe, begin.scaling, scaling))
         else:
             self._linear([*examples, *others])
             self.networks.bound(*_bounds([*examples, *others], scaling))
