@@ -51,7 +51,8 @@ def test_other_scales_give_the_same_predictions(name: str) -> None:
     x, z = rng.normal(size=len(layout.states)), rng.normal(size=(TICKS + 1, len(layout.signals)))
     weights = networks.state_dict()
     moved = rescaled(weights, layout, recipe, before, after)
-    one, other = (predicted(layout, recipe, *of, x, z) for of in ((weights, before), (moved, after)))
+    one = predicted(layout, recipe, weights, before, x, z)
+    other = predicted(layout, recipe, moved, after, x, z)
     assert one.std(axis=0).min() > 1e-3, "predictions that move"
     np.testing.assert_allclose(other, one, atol=1e-5)
 

@@ -52,6 +52,7 @@ def block(k: int, mean: FloatArray, logs: int = 1) -> Block:
         begins=np.full(logs, k % 10 == 0),
         ticks=np.full((logs, 2), float(TICKS)),
         mean=mean,
+        part=np.full((logs, 2, 2), 1.0 / TICKS),
         shift=np.repeat(SHIFT[None], logs, axis=0),
         excess=np.zeros((logs, 2)),
     )
