@@ -36,7 +36,8 @@ from faultline.service.core.signals.modes import EDGE
 
 Array = npt.NDArray[np.float64]
 
-ALLOWANCE = 0.3  # of the mode's spread: what a few recordings cannot show
+ALLOWANCE = 0.3
+"""Of the mode's spread: what a few recordings cannot show, nor vehicles that lack what this one has."""
 ENOUGH = 8
 """Recordings from which the way in which all means stray together from drive to drive is seen, and not assumed."""
 USUAL = 0.95
@@ -74,7 +75,7 @@ def gather(
     if known is not None:
         of_fleet = known.posterior
         own, drifts = of_fleet.own[described][:, rows], of_fleet.drifts[:, described][..., order]
-        sizes, allowance = of_fleet.sizes, own
+        sizes = of_fleet.sizes
     else:
         own = np.abs(away[..., :K]).max(axis=0)
         drifts = named_drifts(bank, recordings, described, moves)[..., order]
@@ -86,7 +87,7 @@ def gather(
             seen = strays(apart or recordings, order, around)[:, described]
             larger = doubted(len(recordings) - 1.0)
             own, drifts, sizes = (larger * each for each in as_seen(seen, everywhere, drifts, K))
-        allowance = np.hypot(own, ALLOWANCE * spread)
+    allowance = np.hypot(own, ALLOWANCE * spread)
     assumed = hypotheses_of(bank.model) if bank.has_equations else biases_of(bank.model, _samples(recordings))
     hypotheses = with_usual(assumed, bank.only(rows), recordings, described, moves)
     evidence = Evidence(

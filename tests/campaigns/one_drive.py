@@ -1,6 +1,6 @@
 """A vehicle tuned with one drive, with and without a fleet, beside five own drives: `make campaign-one-drive`.
 
-    .venv/bin/python tests/campaigns/one_drive.py --vehicles 1025 1026
+    .venv/bin/python tests/campaigns/one_drive.py --vehicles 1035 1036
 
 Trucks of the rig's fleet (profile `everyday`, hidden effects). Those of `FLEET` are calibrated and tuned, each with
 drives of its own, and pooled. Others are tuned three times: with five drives, with the first of them, and with that one
@@ -36,7 +36,7 @@ from faultline.testbench.traffic import frames
 Record = dict[str, Any]
 
 FLEET = tuple(range(1001, 1015))
-VEHICLES = tuple(range(1025, 1035))
+VEHICLES = tuple(range(1035, 1045))
 DRIVES = (2, 3, 4, 5, 6)
 OF_FLEET = DRIVES[:4]
 SECONDS, FREE_S, FREE = 480.0, 900.0, 5

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from faultline.analysis.tuning.file import SCHEMA, Tuning
 from faultline.analysis.tuning.prior import FREEDOM, Prior, no_lower, pooled, posterior
 from faultline.analysis.tuning.statistics import OfDrive, OfMode
-from faultline.analysis.tuning.straying import as_seen, doubted
+from faultline.analysis.tuning.straying import SUPPOSED, as_seen, doubted
 from faultline.service.core.errors import InputError
 from faultline.service.core.manifest import CusumDetector, Evidence, Modes
 from faultline.service.core.time_scale import TimeScale
@@ -101,6 +101,7 @@ def test_variances_between_and_within_vehicles_are_found_again() -> None:
     np.testing.assert_allclose(np.array(prior.noise.covariance)[1].diagonal(), SPREAD**2, rtol=0.1)
     np.testing.assert_allclose(np.array(prior.visit.covariance)[1].diagonal(), VISIT**2, rtol=0.2)
     assert prior.noise.freedom == FREEDOM[1], "all vehicles are equally loud"
+    assert prior.visit.freedom == SUPPOSED, "but one may have effects of visits that no other has"
 
 
 def test_vehicles_that_differ_in_loudness_leave_their_own_more_to_say() -> None:
