@@ -37,14 +37,7 @@ def rescaled(
     networks = Networks(layout, recipe, recipe.members)
     networks.load_state_dict(weights)
     networks.to(torch.float64)
-    size, offset = (
-        np.concatenate([getattr(after, f"x_{of}"), *[getattr(after, f"z_{of}")] * 2, [1.0 if of == "size" else 0.0]])
-        for of in ("size", "offset")
-    )
-    old_size, old_offset = (
-        np.concatenate([getattr(before, f"x_{of}"), *[getattr(before, f"z_{of}")] * 2, [1.0 if of == "size" else 0.0]])
-        for of in ("size", "offset")
-    )
+    (size, offset), (old_size, old_offset) = _columns(after), _columns(before)
     factor, moved = size / old_size, (offset - old_offset) / old_size
     states = before.x_size / after.x_size, (before.x_offset - after.x_offset) / after.x_size
     predicts = layout.predicts
@@ -57,6 +50,12 @@ def rescaled(
         for bound in (networks.lowest, networks.highest):
             bound[:] = bound * torch.as_tensor(states[0])[:, None] + torch.as_tensor(states[1])[:, None]
     return {name: value.to(torch.float32) for name, value in networks.state_dict().items()}
+
+
+def _columns(of: Scaling) -> tuple[Array, Array]:
+    """Sizes and offsets of the columns [states; signals; signals before; 0]."""
+    size = np.concatenate([of.x_size, of.z_size, of.z_size, [1.0]])
+    return size, np.concatenate([of.x_offset, of.z_offset, of.z_offset, [0.0]])
 
 
 def _rescale(stack: Stack, factor: Array, moved: Array, times: Array, plus: Array) -> None:

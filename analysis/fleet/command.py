@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from faultline.analysis.fleet.identity import KINDS
 from faultline.analysis.progress import Progress
 from faultline.options import Parser
 from faultline.service.core.errors import InputError
@@ -83,8 +84,7 @@ def _add_diagnose(commands: "argparse._SubParsersAction[Parser]") -> None:
     parser.add_argument("drives", nargs="+", help="folders, log files, globs or URLs of recordings and logs")
     parser.add_argument("--bundle", required=True, help="the bundle folder; {vehicle} in it stands for the vehicle")
     parser.add_argument("--out", type=Path, required=True, help="the folder of the tables")
-    kinds = "vin", "position"
-    parser.add_argument("--with", dest="asked", nargs="+", default=[], choices=kinds, help="what is left out otherwise")
+    parser.add_argument("--with", dest="asked", nargs="+", default=[], choices=KINDS, help="what is left out otherwise")
     _add_cluster(parser)
     parser.set_defaults(run=_diagnose)
 
