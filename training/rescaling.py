@@ -1,8 +1,8 @@
 """Networks for other scales: the same functions of the same values, exactly, as the first and last layers are affine.
 
 A short recording covers a part of what a long one did. With the scales of the long one all of its values lie close
-together, and a training on it goes nowhere: from 5 min of a truck two pressures behind the filters were predicted half
-as well with a bench's scales as with its own (1.9 and 2.6 times the error in t12, two seeds; simulated).
+together, and a training on it goes badly: from 5 min of a truck t12 erred 1.9 and 2.6 times as much with a bench's
+scales as with its own (two seeds, simulated).
 """
 
 from collections.abc import Mapping

@@ -35,9 +35,9 @@ FORM = "1"
 
 @dataclass(frozen=True)
 class Wish:
-    """What is done with every drive: diagnosed with the bundle at this path, its rows written under `out`.
+    """Every drive is diagnosed with the bundle at this path, and its rows are written under `out`.
 
-    With VIN and position where they are `asked` for (`analysis.fleet.identity`).
+    They have VIN and position where these are `asked` for (`analysis.fleet.identity`).
     """
 
     bundle: str

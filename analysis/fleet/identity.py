@@ -19,14 +19,14 @@ KINDS = (VIN, POSITION)
 VEHICLE_IDENTIFICATION, VEHICLE_POSITION = 65260, 65267
 """Parameter groups: SPN 237, text that ends with an asterisk; SPN 584 and 585, latitude and longitude."""
 DEGREES, SOUTH_WEST = 1e-7, -210.0
-"""Of a bit, and of the number zero."""
+"""A number stands for so many degrees each, beginning at this one [deg]."""
 LAST_VALID = 0xFAFFFFFF
 """Numbers above it stand for an error, or for none."""
 _GROUP, _FORMAT = np.uint32(0x3FFFF00), np.uint32(0xFF0000)
 
 
 class Identity(NamedTuple):
-    """What a log says, None where it does not: the VIN, and the last latitude and longitude [deg]."""
+    """The VIN in a log and its last latitude and longitude [deg]; None is what the log does not say."""
 
     vin: str | None = None
     latitude: float | None = None

@@ -37,7 +37,7 @@ from faultline.service.core.signals.modes import EDGE
 Array = npt.NDArray[np.float64]
 
 ALLOWANCE = 0.3
-"""Of the mode's spread: what a few recordings cannot show, nor vehicles that lack what this one has."""
+"""Means stray by this part of the mode's spread besides: a few recordings, or other vehicles, cannot show all."""
 ENOUGH = 8
 """Recordings from which the way in which all means stray together from drive to drive is seen, and not assumed."""
 USUAL = 0.95

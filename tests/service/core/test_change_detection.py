@@ -263,6 +263,7 @@ def test_noise_in_common_cancels_at_the_same_ticks_only() -> None:
             usable = np.array([tick not in lost[0], tick not in lost[1]])
             block = blocks.add(tick, IDLE, Residuals(r, r, r, usable, np.zeros((1, 2))))
         assert block is not None
+        np.testing.assert_allclose(block.part[0], np.array([[13, 11], [11, 13]]) / 13**2)
         white.append(known.step(block).white[0])
     assert np.mean(np.square(white)[:, 1]) == pytest.approx(1.0, abs=0.15)
 
