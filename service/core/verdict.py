@@ -47,7 +47,7 @@ class Verdict:
                 f"{' '.join(sorted(self.blind))} could never tell, so no alarm is no all-clear; give a longer log "
                 f"that has {', '.join(self._signals)}, within their operating ranges{strangers}"
             )
-        if decision.suspected:
+        if decision.is_open:
             return "ends while something is suspected and not yet confirmed or dismissed; give a longer log"
         if decision.alarm:
             return (

@@ -4,15 +4,17 @@ The change detection suspects (`core.decision.drive_change`); and detectors do w
 some of the evidence cannot tell. That opens a window. A sure change confirms a fault, or what is seen in the window
 once some hypothesis fits it better than no fault does by more than chance makes; until then nothing is named. Names are
 hitting sets of the conflicts: of the tests that alarm, and of those that the window shows to deviate. Networks beside
-equations raise suspicion and are no conflicts: they may alarm where a fault that their test decouples brings operation
-that was rare in training. In a bundle of networks alone they are the evidence.
+equations open the window and are no conflicts: they may alarm where a fault that their test decouples brings operation
+that was rare in training, and while the pressure is built up. So what they alone suspect is told once it has lasted. In
+a bundle of networks alone they are the evidence.
 
 Hypotheses say where residuals end; how they get there lasts as long as the tests' warm-up. So the window is cleared
 once after that time, and until then candidates are not ranked. From then on conflicts are what deviates in it, as
 sensitive tests alarm by chance too, and a fault has to fit what is seen to be named (`core.decision.explaining`).
 
 A fault may come and go (`core.decision.intermittence`): seconds in which it was not there are left out of the window,
-and from then on explanations are not ranked, as that hangs on which modes have seen how much of it.
+and from then on explanations are not ranked, as that hangs on which modes have seen how much of it. If the evidence had
+said before that it may be none of the declared ones, it still may.
 """
 
 from functools import partial
@@ -27,7 +29,7 @@ from faultline.service.core.decision.intermittence import BLOCK, CLEAR, Intermit
 from faultline.service.core.decision.look import Fitted, Look
 from faultline.service.core.decision.model_error import ModelError
 from faultline.service.core.decision.window import Blocks, Window
-from faultline.service.core.detectors.bank import DetectorBank
+from faultline.service.core.detectors.bank import NONE, DetectorBank
 from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Diagnosis, candidates
 from faultline.service.core.residuals.generators import Residuals
@@ -61,6 +63,10 @@ UNSEEN = Span(settlings=3, seconds=60)
 filter that is all but shut takes its own pressure out of the operating range. Who it is remains open among those
 that alarms allow."""
 
+ALONE = Span(settlings=1, seconds=20)
+"""So long networks beside equations alarm alone until that is told. Suspicions of theirs that were dismissed lasted 5
+to 13 s, nearly all at the end of a start-up."""
+
 GONE_BLOCKS = 60
 """A fault that no block of so many in a row has shown is gone."""
 
@@ -89,6 +95,7 @@ class Decision:
         self._ranking, self._block, self._vain = map(time.ticks, (RANKING, BLOCK, VAIN))
         self._quick = time.ticks(BLOCK_OF_MEANS) <= self._ranking
         self._unseen_most, self._linger, self._healed = map(time.ticks, (UNSEEN, LINGER, HEALED))
+        self._alone = time.ticks(ALONE)
         self._settle_ticks = ticks_of(
             max(g.warm_up_s for g in manifest.generators if g.name in manifest.evidence.generators), time.period_s
         )
@@ -98,6 +105,7 @@ class Decision:
         self._explainer = Explainer(manifest)
         covered = [*manifest.evidence.generators, *(each.generator for each in manifest.evidence.followers)]
         self._covered = frozenset(map(names.index, covered))
+        self._networks = frozenset(range(len(names))) - self._trusted
         self._model_error = ModelError(manifest.evidence, names)
         self._change = DriveChange(manifest.evidence, names, self._hypotheses, time)
         self._window, self._quiet = Blocks(manifest.evidence, names, time), Window(manifest.evidence, names, time)
@@ -112,9 +120,11 @@ class Decision:
         self._look: Look | None = None
         self._fitting: list[Fitted] = []  # the faults that the window could not tell apart, the last time it showed one
         self._settled = self._cleared = self._by_evidence = self._ranked = False
+        self._is_backed = False  # whether more than networks suspects something, or they have for long
         self._unseen = 0  # ticks of an alarm since all tests of the evidence could tell
         self._doubts = 0  # looks in a row at which nothing is wrong after all
         self._doubted: frozenset[int] | None = None  # generators that alarm though nothing is wrong, once that is seen
+        self._undeclared = False  # whether the evidence said last that the fault may be none of the declared ones
         self._diagnoses: list[Diagnosis] = []
         self._seen: list[Diagnosis] = []  # what the last look said
         self.confirmed = self.withdrawn = False
@@ -135,6 +145,7 @@ class Decision:
             if self._latest is None or self._is_news():
                 self._open(tick)
             self._latest, self._alarmed = tick, self._detectors.alarmed or self._alarmed
+            self._is_backed |= self._suspects_but(self._networks) or tick - self._first >= self._alone
             self._calm[:] = 0.0
             self._quiet.clear()
         if self._latest is None:
@@ -172,7 +183,7 @@ class Decision:
         """An episode begins: what is seen from now on is looked at apart."""
         self.withdrawn = False
         self._look, self._deviating, self._settled = None, frozenset(), False
-        self._fitting = []
+        self._fitting, self._undeclared, self._is_backed = [], False, False
         self._showing[:], self._alarmed = False, frozenset()
         self._first, self._cleared, self._unseen = tick, False, 0
         self._doubts, self._doubted = 0, None
@@ -264,9 +275,12 @@ class Decision:
         So does any where the change has not all of the evidence, or comes late, as blocks last longer than looks are
         apart.
         """
-        change, detectors = self._change, self._detectors
-        covers = self._quick and not change.blind
-        return change.alarm or (detectors.beside(self._covered) if covers else bool(detectors.firing))
+        return self._suspects_but(NONE)
+
+    def _suspects_but(self, rows: frozenset[int]) -> bool:
+        """Whether something is suspicious without these generators' level detectors."""
+        covers = self._quick and not self._change.blind
+        return self._change.alarm or self._detectors.beside(rows | self._covered if covers else rows)
 
     @property
     def sums(self) -> FloatArray:
@@ -310,7 +324,12 @@ class Decision:
 
     @property
     def suspected(self) -> bool:
-        """Whether something is suspected and neither confirmed nor taken for the baseline's."""
+        """Whether something is suspected and neither confirmed nor taken for the baseline's, by more than networks."""
+        return self.is_open and self._is_backed
+
+    @property
+    def is_open(self) -> bool:
+        """Whether something is neither confirmed nor taken for the baseline's, though it is not told yet."""
         return self._latest is not None and not self.confirmed and self._doubted is None
 
     @property
@@ -340,6 +359,8 @@ class Decision:
         look = self._look if self._settled and not self.intermittent else None
         self._by_evidence = look is not None and bool(look.faults)
         if look is not None and self._by_evidence:
-            return self._explainer.by_evidence(sorted(self._deviating or alarmed), look)
+            seen = self._explainer.by_evidence(sorted(self._deviating or alarmed), look)
+            self._undeclared = any(not each.faults and each.rank == 1 for each in seen)
+            return seen
         rows = (self._deviating or alarmed) if self._settled else self._deviating | alarmed
-        return self._explainer.by_conflicts(sorted(rows), self._look)
+        return self._explainer.by_conflicts(sorted(rows), self._look, self.intermittent and self._undeclared)

@@ -46,9 +46,12 @@ class Explainer:
         self._sizes = SizeIntervals(manifest.evidence)
         self._has_one_test = len({generator.test for generator in manifest.generators}) == 1
 
-    def by_conflicts(self, rows: Sequence[int], look: Look | None) -> list[Diagnosis]:
-        """The explanations that these generators allow, all of one rank."""
-        return self._ranked(diagnoses([self._moving(row, look) for row in rows] or [self._faults]), {}, {}, rows, None)
+    def by_conflicts(self, rows: Sequence[int], look: Look | None, undeclared: bool = False) -> list[Diagnosis]:
+        """The explanations that these generators allow, all of one rank; one may be that it is `undeclared`."""
+        named = diagnoses([self._moving(row, look) for row in rows] or [self._faults])
+        if undeclared and UNKNOWN not in named:
+            named = [*named, UNKNOWN]
+        return self._ranked(named, {}, {}, rows, None)
 
     def by_evidence(self, rows: Sequence[int], look: Look) -> list[Diagnosis]:
         """Those of them that fit what is seen."""

@@ -387,6 +387,21 @@ def test_a_fault_that_comes_and_goes_is_not_ranked_and_never_ruled_out(fault: st
     assert all(fault in names for names in named if names)
 
 
+def test_what_was_unknown_still_may_be_once_it_comes_and_goes() -> None:
+    """A leak that no fault of the model is: first it is there, then for 20 s of every 60."""
+    vehicle = Vehicle()
+    for mode in (IDLE, PARTIAL, MAXIMUM):
+        vehicle.drive(SETTLED, mode)
+    for mode in (PARTIAL, MAXIMUM, IDLE):
+        vehicle.drive(SETTLED, mode, {"fq_leak": 0.6})
+    assert vehicle.named[0] == ("unknown", 1)
+    for tick in range(3000):
+        vehicle.drive(1, (PARTIAL, MAXIMUM, IDLE)[tick // 170 % 3], {"fq_leak": 0.6} if tick % 300 < 100 else {})
+    assert vehicle.decision.intermittent
+    assert vehicle.named.count(("unknown", 1)) == 1
+    assert {(d.rank, d.p) for d in vehicle.decision.diagnoses} == {(1, None)}
+
+
 def test_doses_that_a_fault_does_not_show_in_do_not_make_it_come_and_go() -> None:
     """A nozzle that is clogged shows nothing at idle: that says who it is."""
     vehicle = Vehicle()

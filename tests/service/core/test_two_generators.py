@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 
 from faultline.service.bundle.load import load_bundle
-from faultline.service.core.decision.decision import Decision
+from faultline.service.core.decision.decision import ALONE, Decision
 from faultline.service.core.manifest import Manifest
 from faultline.service.core.residuals.generators import Residuals
 
@@ -80,12 +80,40 @@ def test_a_deviation_where_no_hypothesis_points_is_told_in_the_end() -> None:
     assert shown_by[best.faults[0]] == min(shown_by.values()), "the least other evidence is sensitive to it"
 
 
-def test_what_networks_alone_suspect_is_not_confirmed() -> None:
+def test_what_networks_alone_suspect_is_told_once_it_has_lasted_and_is_not_confirmed() -> None:
     """Their residuals under a fault cannot be predicted: the equations' must show it too."""
     manifest = doubled()
     decision = Decision(manifest)
+    told = []
     for tick in range(200):
         decision.update(tick, 1, seen(manifest, last=30.0))
+        told.append((decision.is_open, decision.suspected))
     assert decision.alarm == [manifest.generators[-1].test]
     assert not decision.confirmed
     assert decision.diagnoses == []
+    opened, suspected = (np.flatnonzero(each) for each in np.array(told).T)
+    assert suspected[0] - opened[0] == manifest.time.ticks(ALONE)
+    assert suspected[-1] == len(told) - 1
+
+
+def test_what_networks_suspect_for_some_seconds_is_not_told() -> None:
+    manifest = doubled()
+    decision = Decision(manifest)
+    told = []
+    for tick in range(200):
+        decision.update(tick, 1, seen(manifest, last=30.0 if tick < 5 else 0.0))
+        told.append((decision.is_open, decision.suspected))
+    opened, suspected = np.array(told).T
+    assert opened.any()
+    assert not suspected.any()
+    assert not opened[-1]
+
+
+def test_what_the_equations_suspect_too_is_told_at_once() -> None:
+    manifest = doubled()
+    decision = Decision(manifest)
+    for tick in range(200):
+        decision.update(tick, 1, seen(manifest, last=30.0, first=30.0 if tick >= 20 else 0.0))
+        if decision.confirmed or decision.suspected:
+            break
+    assert tick < 20 + manifest.time.ticks(ALONE)
