@@ -64,8 +64,8 @@ filter that is all but shut takes its own pressure out of the operating range. W
 that alarms allow."""
 
 ALONE = Span(settlings=1, seconds=20)
-"""So long networks beside equations alarm alone until that is told. Suspicions of theirs that were dismissed lasted 5
-to 13 s, nearly all at the end of a start-up."""
+"""An alarm of networks alone, beside equations, is a suspicion once it has lasted so long. Those that were dismissed
+lasted 5 to 13 s, at the end of a start-up (trucks 903 to 905)."""
 
 GONE_BLOCKS = 60
 """A fault that no block of so many in a row has shown is gone."""
@@ -278,7 +278,7 @@ class Decision:
         return self._suspects_but(NONE)
 
     def _suspects_but(self, rows: frozenset[int]) -> bool:
-        """Whether something is suspicious without these generators' level detectors."""
+        """Return whether something is suspicious without the level detectors of these generators."""
         covers = self._quick and not self._change.blind
         return self._change.alarm or self._detectors.beside(rows | self._covered if covers else rows)
 
@@ -324,12 +324,12 @@ class Decision:
 
     @property
     def suspected(self) -> bool:
-        """Whether something is suspected and neither confirmed nor taken for the baseline's, by more than networks."""
+        """Return True if an open episode is a suspicion: by more than networks alone, or theirs has lasted."""
         return self.is_open and self._is_backed
 
     @property
     def is_open(self) -> bool:
-        """Whether something is neither confirmed nor taken for the baseline's, though it is not told yet."""
+        """Return True if an episode is neither confirmed nor taken for the baseline's, whether it is told or not."""
         return self._latest is not None and not self.confirmed and self._doubted is None
 
     @property

@@ -117,7 +117,7 @@ class Event(msgspec.Struct, frozen=True, kw_only=True):
         bool,
         Meta(
             description="something is, and nothing is confirmed: a test alarms, or the residuals together have "
-            "changed, though none does"
+            "changed, though none does. An alarm of networks beside equations alone is one once it has lasted 20 s"
         ),
     ] = False
     intermittent: Annotated[
