@@ -20,7 +20,10 @@ from watched_service import FAULTY, WatchedService
 import faultline
 
 ROOT = Path(str(faultline.__file__)).parents[1]
-RUN = "import sys; from faultline.service.watch import main; sys.exit(main(sys.argv[1:]))"
+RUN = """import faulthandler, signal, sys
+faulthandler.register(signal.SIGUSR1)  # what is it doing?
+from faultline.service.watch import main
+sys.exit(main(sys.argv[1:]))"""
 ENTER, LEAVE = b"\x1b[?1049h", b"\x1b[?7h\x1b[?25h\x1b[?1049l"
 BEGIN, END = b"\x1b[?2026h\x1b[H", b"\x1b[?2026l"
 PATIENCE_S = 30.0
@@ -62,9 +65,20 @@ class Watch:
     def until(self, what: Callable[[str], object]) -> str:
         end = time.monotonic() + PATIENCE_S
         while not what(self.screen()):
-            assert time.monotonic() < end, self.output[-3000:].decode(errors="replace")
+            assert time.monotonic() < end, self.stuck()
             self.read(0.1)
         return self.screen()
+
+    def stuck(self) -> str:
+        """What it has drawn last, and where each of its threads is; its exit code if it has ended."""
+        drawn, code = self.output.count(BEGIN), self.process.poll()
+        if code is None:
+            self.process.send_signal(signal.SIGUSR1)
+            end = time.monotonic() + 1.0
+            while time.monotonic() < end:
+                self.read(0.1)
+        state = Path(f"/proc/{self.process.pid}/status").read_text().splitlines()[2] if code is None else f"exit {code}"
+        return f"{state}, drawn {drawn} times\n" + self.output[-6000:].decode(errors="replace")
 
     def ends(self) -> int:
         """Its exit code; nothing is left undone on the terminal."""
