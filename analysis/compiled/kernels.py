@@ -45,10 +45,8 @@ def kernels_of(tests: bytes, hypotheses: bytes | None, rows: int) -> Kernels:
     if (scalars := max(len(program.nodes) for program in programs)) > MOST_SCALARS:
         raise NotCompiledError(f"a graph of {scalars} scalars would take minutes to compile")
     of_tests, *others = programs
-    module = _module(
-        "".join([HEAD, tests_text(of_tests), *(map(hypotheses_text, others) if others else [NO_HYPOTHESES])])
-    )
     other = others[0] if others else None
+    module = _module(HEAD + tests_text(of_tests) + (hypotheses_text(other, rows) if other else NO_HYPOTHESES))
     numbers = numbers_of(of_tests), numbers_of(other)
     return Kernels(module.tests, module.hypotheses, *numbers, table_of(other, rows))
 

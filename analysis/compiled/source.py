@@ -1,7 +1,8 @@
 """Text of a program's functions, which Numba compiles: one for the tests, one whose inner loop is the hypotheses.
 
 The functions fill their outputs. Those of the tests are vectors; those of the hypotheses are (columns, H), so that the
-compiler takes several hypotheses at once:
+compiler takes several hypotheses at once. It does so only where it can show cheaply that no output overlaps an input:
+in the loop these are vectors with H written as a number, and what all hypotheses have in common is read before it.
 
     tests(z, x, p, r, y_hat, sigma, x_next)
     hypotheses(z, x, p, table, r, x_next)
@@ -10,7 +11,7 @@ Constants that are no small whole numbers are in `p`, and in `table` (columns, H
 the text is that of a model's structure: vehicles that differ in their parameters share it, and what was compiled of it.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -33,21 +34,31 @@ LITERAL = 16
 _BINARY = {"add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}", "max": "{1} if {1} > {0} else {0}"}
 _UNARY = {"neg": "-{}", "abs": "abs({})", "sqrt": "sqrt({})", "exp": "exp({})", "log": "log({})", "tanh": "tanh({})"}
 _TEXT = {**_BINARY, **_UNARY}
+Place = Callable[[str, int], str]
+"""How an element of an array is written, by its name and column."""
 
 
 def tests_text(program: Program) -> str:
     """The function of the residual generators."""
     outputs = ("r", "y_hat", "sigma", "x_next")
-    body = [*_lines(program, "{}[{}]"), *_stores(program, outputs, "{}[{}]")]
-    return _function("tests", ["z", "x", "p", *outputs], OF_TESTS, body, "    ")
+    place = "{}[{}]".format
+    body = [*(text for _, text in _lines(program, place)), *_stores(program, outputs, place)]
+    return _function("tests", ["z", "x", "p", *outputs], OF_TESTS, body)
 
 
-def hypotheses_text(program: Program) -> str:
-    """The function of the generators under each assumed fault."""
-    outputs = ("r", "x_next")
-    body = [*_lines(program, "{}[{}, h]"), *_stores(program, outputs, "{}[{}, h]")]
-    text = _function("hypotheses", ["z", "x", "p", "table", *outputs], OF_HYPOTHESES, body, "        ")
-    return text.replace("\n        ", "\n    for h in range(x.shape[1]):\n        ", 1)
+def hypotheses_text(program: Program, rows: int) -> str:
+    """The function of the generators under each of so many assumed faults."""
+    inputs, outputs = ("x", "table"), ("r", "x_next")
+
+    def place(name: str, column: int) -> str:
+        return f"all_{name}[{column * rows} + h]"
+
+    lines = list(_lines(program, place))
+    body = [f"all_{name} = {name}.reshape(-1)" for name in (*inputs, *outputs)]
+    body += [text for node, text in lines if _is_common(node)]
+    inner = [*(text for node, text in lines if not _is_common(node)), *_stores(program, outputs, place)]
+    body += [f"for h in range({rows}):", *("    " + each for each in inner)]
+    return _function("hypotheses", ["z", "x", "p", "table", *outputs], OF_HYPOTHESES, body)
 
 
 def numbers_of(program: Program | None) -> FloatArray:
@@ -61,44 +72,49 @@ def table_of(program: Program | None, rows: int) -> FloatArray:
     return np.array(columns) if columns else np.zeros((1, rows))
 
 
-def _function(name: str, arguments: Sequence[str], types: str, body: Iterable[str], indent: str) -> str:
+def _function(name: str, arguments: Sequence[str], types: str, body: Iterable[str]) -> str:
     decorator = DECORATOR.replace("SIGNATURE", f'"void({types})"')
-    return decorator + f"def {name}({', '.join(arguments)}):\n" + "\n".join(indent + line for line in body) + "\n"
+    return decorator + f"def {name}({', '.join(arguments)}):\n" + "".join(f"    {line}\n" for line in body)
 
 
-NO_HYPOTHESES = _function("hypotheses", ["z", "x", "p", "table", "r", "x_next"], OF_HYPOTHESES, ["pass"], "    ")
+NO_HYPOTHESES = _function("hypotheses", ["z", "x", "p", "table", "r", "x_next"], OF_HYPOTHESES, ["pass"])
 
 
 def _is_number(node: Node) -> bool:
     return node.operator == "constant" and not (node.value == round(node.value) and abs(node.value) <= LITERAL)
 
 
-def _lines(program: Program, place: str) -> Iterator[str]:
-    """An assignment for each scalar; `place` is how an element of an array is written."""
+def _is_common(node: Node) -> bool:
+    """Return True for a constant or a sample: it is the same in all hypotheses."""
+    return node.operator == "constant" or (node.operator == "input" and node.value[0] == "z")
+
+
+def _lines(program: Program, place: Place) -> Iterator[tuple[Node, str]]:
+    """Each scalar with its assignment."""
     columns = numbers = 0
     for index, node in enumerate(program.nodes):
         if node.operator == "row":
-            yield f"t{index} = table[{columns}, h]"
+            yield node, f"t{index} = {place('table', columns)}"
             columns += 1
         elif _is_number(node):
-            yield f"t{index} = p[{numbers}]"
+            yield node, f"t{index} = p[{numbers}]"
             numbers += 1
         else:
-            yield f"t{index} = {_text(node, place)}"
+            yield node, f"t{index} = {_text(node, place)}"
 
 
-def _text(node: Node, place: str) -> str:
+def _text(node: Node, place: Place) -> str:
     match node.operator:
         case "constant":
             return repr(node.value)
         case "input" if node.value[0] == "z":
             return f"z[{node.value[1]}]"
         case "input":
-            return place.format(*node.value)
+            return place(*node.value)
     return _TEXT[node.operator].format(*(f"t{each}" for each in node.operands))
 
 
-def _stores(program: Program, outputs: Sequence[str], place: str) -> Iterator[str]:
+def _stores(program: Program, outputs: Sequence[str], place: Place) -> Iterator[str]:
     for name in outputs:
         for column, index in enumerate(program.outputs[name]):
-            yield f"{place.format(name, column)} = t{index}"
+            yield f"{place(name, column)} = t{index}"
