@@ -115,7 +115,7 @@ class Row(NamedTuple):
 
 
 class Outputs(NamedTuple):
-    """The outputs of n ticks: (n, T), shifts (n, H, K) and consequences that were brought (n, C)."""
+    """The outputs of n ticks: (n, T), shifts (n, K, H) and consequences that were brought (n, C)."""
 
     r: FloatArray
     y_hat: FloatArray
@@ -244,22 +244,25 @@ def advance(
 
 @njit(cache=True)
 def _shift(row: Row, weighed: Ints, shift: FloatArray) -> None:
-    """Fill in what each hypothesis does to the residuals (H, K): nothing where it could not be computed."""
-    for h in range(shift.shape[0]):
-        good = _good(row, h)
-        for k in range(shift.shape[1]):
-            shift[h, k] = row.r[weighed[k]] - row.assumed[k, h] if good else 0.0
+    """Fill in what each hypothesis does to the residuals (K, H): nothing where it could not be computed."""
+    good = _good(row)
+    for k in range(shift.shape[0]):
+        r = row.r[weighed[k]]
+        for h in range(shift.shape[1]):
+            shift[k, h] = r - row.assumed[k, h] if good[h] else 0.0
 
 
 @njit(cache=True)
-def _good(row: Row, h: int) -> bool:
-    """Return True if a hypothesis could be computed."""
-    nothing = 0.0  # a finite number less itself
+def _good(row: Row) -> Flags:
+    """Return which hypotheses could be computed (H,)."""
+    nothing = np.zeros(row.assumed.shape[1])  # a finite number less itself
     for k in range(len(row.assumed)):
-        nothing += row.assumed[k, h] - row.assumed[k, h]
+        for h in range(len(nothing)):
+            nothing[h] += row.assumed[k, h] - row.assumed[k, h]
     for c in range(len(row.assumed_next)):
-        nothing += row.assumed_next[c, h] - row.assumed_next[c, h]
-    return nothing == 0.0
+        for h in range(len(nothing)):
+            nothing[h] += row.assumed_next[c, h] - row.assumed_next[c, h]
+    return np.asarray(nothing == 0.0)
 
 
 @njit(cache=True)
@@ -362,11 +365,11 @@ def _keep_tests(g: Generators, state: GeneratorState, row: Row, fed: Flags, insi
 @njit(cache=True)
 def _keep_hypotheses(g: Generators, state: GeneratorState, row: Row, advanced: Flags, fresh: FloatArray) -> None:
     """Keep the states of the hypotheses of generators that advance; those that could not be computed start anew."""
-    for h in range(state.assumed.shape[1]):
-        good = _good(row, h)
-        for c in range(len(g.own)):
-            if advanced[g.weighed[g.own_owner[c]]]:
-                state.assumed[c, h] = row.assumed_next[c, h] if good else fresh[g.own[c]]
+    good = _good(row)
+    for c in range(len(g.own)):
+        if advanced[g.weighed[g.own_owner[c]]]:
+            for h in range(len(good)):
+                state.assumed[c, h] = row.assumed_next[c, h] if good[h] else fresh[g.own[c]]
 
 
 @njit(cache=True)

@@ -14,11 +14,11 @@ from faultline.analysis.compiled.kernels import Kernels, kernels_of
 from faultline.analysis.compiled.source import OF_HYPOTHESES, OF_TESTS
 from faultline.service.bundle.load import Bundle
 from faultline.service.core.manifest import Input, Manifest, Modes
-from faultline.service.core.residuals.generators import HELD_TICKS, MOST_DOUBTFUL, NOTHING, Residuals
+from faultline.service.core.residuals.generators import HELD_TICKS, MOST_DOUBTFUL, Residuals
 from faultline.service.core.residuals.table import GeneratorTable, table_of
 from faultline.service.core.signals.gate import SAMPLES, Gate
 from faultline.service.core.signals.modes import ModeTracker
-from faultline.service.core.signals.values import FloatArray, Mask
+from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
 BLOCK = 512
 """Ticks that are computed at once: the shifts of 100 hypotheses of 4 tests are 1.6 MB then."""
@@ -43,13 +43,13 @@ class CompiledEvaluator:
         rows = (np.zeros((count, hypotheses)) for count in (K, len(of.own)))
         self._row = driver.Row(np.zeros(T), np.zeros(T), np.zeros(T), np.zeros(nx), *rows)
 
-    def evaluate(self, z: FloatArray, usable: Mask, ages: FloatArray) -> Iterator[tuple[int, Residuals]]:
-        """Yield mode and residuals of the next n ticks, of samples (n, nz), which are usable, and their ages [s]."""
+    def evaluate(self, z: FloatArray, usable: Mask, ages: FloatArray) -> Iterator[tuple[Indices, Residuals]]:
+        """Yield the modes (m,) and residuals of blocks of the n ticks of samples (n, nz), as `Evaluator` does."""
         for begin in range(0, len(z), BLOCK):
             part = slice(begin, begin + BLOCK)
-            yield from self._block(z[part], usable[part], ages[part])
+            yield self._block(z[part], usable[part], ages[part])
 
-    def _block(self, z: FloatArray, usable: Mask, ages: FloatArray) -> Iterator[tuple[int, Residuals]]:
+    def _block(self, z: FloatArray, usable: Mask, ages: FloatArray) -> tuple[Indices, Residuals]:
         n = len(z)
         z, usable, ages = np.ascontiguousarray(z), np.ascontiguousarray(usable), np.ascontiguousarray(ages)
         gated = driver.Gated(np.zeros(z.shape), _flags(z.shape), _flags(z.shape), _flags(z.shape))
@@ -60,11 +60,8 @@ class CompiledEvaluator:
         state = self._of, self._state, self._before, self._doubtful, self._row
         advance = _advance(*map(numba.typeof, (*state, gated, out)))
         advance(self._kernels.tests, self._kernels.hypotheses, *state, z, usable, ages, gated, out)
-        has_hypotheses = bool(out.shift.shape[1])
-        for k, mode in enumerate(modes.tolist()):
-            shift = out.shift[k] if has_hypotheses else NOTHING
-            tests = out.r[k], out.y_hat[k], out.sigma[k], out.usable[k], shift, out.brought[k]
-            yield mode, Residuals(*tests, held=out.held[k])
+        shift = out.shift.swapaxes(1, 2)
+        return modes, Residuals(out.r, out.y_hat, out.sigma, out.usable, shift, out.brought, held=out.held)
 
     def _outputs(self, n: int) -> driver.Outputs:
         tests = n, len(self._row.r)
@@ -75,7 +72,7 @@ class CompiledEvaluator:
             sigma=np.zeros(tests),
             usable=_flags(tests),
             held=_flags(tests),
-            shift=np.zeros((n, H, K)),
+            shift=np.zeros((n, K, H)),
             brought=_flags((n, len(self._state.since_shown))),
         )
 

@@ -11,6 +11,7 @@ Constants that are no small whole numbers are in `p`, and in `table` (columns, H
 the text is that of a model's structure: vehicles that differ in their parameters share it, and what was compiled of it.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
@@ -53,7 +54,7 @@ def hypotheses_text(program: Program, rows: int) -> str:
     def place(name: str, column: int) -> str:
         return f"all_{name}[{column * rows} + h]"
 
-    lines = list(_lines(program, place))
+    lines = list(_lines(program, place, _repeated_divisors(program)))
     body = [f"all_{name} = {name}.reshape(-1)" for name in (*inputs, *outputs)]
     body += [text for node, text in lines if _is_common(node)]
     inner = [*(text for node, text in lines if not _is_common(node)), *_stores(program, outputs, place)]
@@ -89,10 +90,23 @@ def _is_common(node: Node) -> bool:
     return node.operator == "constant" or (node.operator == "input" and node.value[0] == "z")
 
 
-def _lines(program: Program, place: Place) -> Iterator[tuple[Node, str]]:
-    """Each scalar with its assignment."""
+def _repeated_divisors(program: Program) -> frozenset[int]:
+    """Return the scalars that several are divided by."""
+    count = Counter(node.operands[1] for node in program.nodes if node.operator == "div")
+    return frozenset(divisor for divisor, times in count.items() if times > 1)
+
+
+def _lines(program: Program, place: Place, inverted: frozenset[int] = frozenset()) -> Iterator[tuple[Node, str]]:
+    """Each scalar with its assignment. In place of dividing by one that is `inverted`, its reciprocal is a factor."""
     columns = numbers = 0
+    known: set[int] = set()
     for index, node in enumerate(program.nodes):
+        if node.operator == "div" and (divisor := node.operands[1]) in inverted:
+            if divisor not in known:
+                yield node, f"u{divisor} = 1.0 / t{divisor}"
+                known.add(divisor)
+            yield node, f"t{index} = t{node.operands[0]} * u{divisor}"
+            continue
         if node.operator == "row":
             yield node, f"t{index} = {place('table', columns)}"
             columns += 1

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from faultline.analysis.compiled.decision import NATIVE
 from faultline.analysis.compiled.elements import NotCompiledError
 from faultline.analysis.compiled.evaluator import CompiledEvaluator, kernels_of_bundle
 from faultline.analysis.compiled.kernels import Kernels
@@ -138,7 +139,7 @@ def _rows(log: Log, bundle: Bundle) -> tuple[dict[str, Any], list[dict[str, Any]
     """The row of a drive, without where and when it is from, and those of its events."""
     kernels = _kernels(bundle.id, bundle)
     evaluator = bundle.bank() if kernels is None else CompiledEvaluator(bundle.manifest, kernels)
-    monitor = Monitor(bundle.manifest, evaluator, bundle.table, log.id, bundle.id)
+    monitor = Monitor(bundle.manifest, evaluator, bundle.table, log.id, bundle.id, parts=NATIVE)
     verdict = Verdict(bundle.manifest)
     components = {fault.name: fault.component for fault in bundle.manifest.faults}
     events, first, ticks = [], None, 0

@@ -1,6 +1,7 @@
 """A log through the vehicle's own sampler, mode tracker and generators: what calibration and tuning look at."""
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -118,5 +119,5 @@ def _ticks(observer: Observer, signals: Signals) -> list[Tick]:
     last_s = None
     for piece in signals.pieces():
         last_s = piece.last_s
-        ticks += observer.take(piece)
-    return ticks if last_s is None else ticks + observer.advance(last_s)
+        ticks += chain.from_iterable(observer.take(piece))
+    return ticks if last_s is None else [*ticks, *chain.from_iterable(observer.advance(last_s))]

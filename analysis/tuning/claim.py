@@ -153,13 +153,17 @@ def told(manifest: Manifest, drive: Drive, evaluator: Evaluator) -> tuple[int, i
     suspicions = diagnoses = 0
     suspected = diagnosed = False
     z, usable, ages = (np.array([getattr(tick, name) for tick in drive.ticks]) for name in ("z", "usable", "ages"))
-    for tick, (_, residuals) in zip(drive.ticks, evaluator.evaluate(z, usable, ages), strict=True):
-        decision.update(tick.number, tick.mode, residuals)
-        suspicions += decision.suspicious and not suspected
-        suspected = decision.suspicious
-        now = bool(decision.diagnoses)
-        diagnoses += now and not diagnosed
-        diagnosed = now
+    modes, done = np.array([tick.mode for tick in drive.ticks]), 0
+    for _, residuals in evaluator.evaluate(z, usable, ages):
+        end, row = done + len(residuals.r), residuals
+        while done < end:
+            row = residuals.part(len(residuals.r) - end + done, len(residuals.r))
+            done += decision.extend(drive.ticks[done].number, modes[done:end], row)
+            suspicions += decision.suspicious and not suspected
+            suspected = decision.suspicious
+            now = bool(decision.named)
+            diagnoses += now and not diagnosed
+            diagnosed = now
     return suspicions, diagnoses
 
 

@@ -8,25 +8,29 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 import numpy as np
 
 from faultline.service.core.decision.decision import Decision
+from faultline.service.core.decision.parts import PARTS, Parts
 from faultline.service.core.decision.relearning import Relearning
 from faultline.service.core.decision.telling import Teller
 from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Event
 from faultline.service.core.residuals.evaluator import Evaluator, TickByTick
 from faultline.service.core.residuals.generators import GeneratorBank
-from faultline.service.core.residuals.observer import Observer, Tick
+from faultline.service.core.residuals.observer import Observer, Tick, Ticks
 from faultline.service.core.signals.decode import DecodeTable
 from faultline.service.core.signals.modes import ModeTracker
 from faultline.service.core.signals.received import Received, Signals
 from faultline.service.core.signals.sampling import Sampler
 from faultline.service.core.signals.values import Qualities
 
+MOST_AT_ONCE = 64
+"""More are not looked at together: the decision takes no more than a block of ticks."""
+
 
 class Monitor:
     """One vehicle's diagnosis. `source` names the recording or the vehicle, `bundle_id` is the manifest's SHA-256.
 
     `watch`, where given, is called after each tick with what was seen and decided: for freeze frames and pictures,
-    never for decisions.
+    never for decisions. `parts` are those of the decision.
     """
 
     def __init__(
@@ -37,6 +41,7 @@ class Monitor:
         source: str,
         bundle_id: str,
         watch: Callable[[Tick, Decision], None] | None = None,
+        parts: Parts = PARTS,
     ) -> None:
         self._sampler = Sampler(manifest.inputs)
         modes = ModeTracker(manifest.modes, manifest.inputs, manifest.period_s)
@@ -48,7 +53,7 @@ class Monitor:
             manifest.period_s,
             manifest.start_within_s,
         )
-        self._decision = Decision(manifest)
+        self._decision = Decision(manifest, parts)
         self._teller = Teller(source, bundle_id, manifest.time)
         self.watch = watch
         self.relearning: Relearning | None = None
@@ -82,8 +87,8 @@ class Monitor:
 
     def piece(self, piece: Received) -> Iterator[Event]:
         """Yield the events of the next piece of a log's signals, but for what its last instant may still hold."""
-        for tick in self._observer.take(piece):
-            yield from self._decide([tick])
+        for row in self._observer.take(piece):
+            yield from self._decide([row])
 
     def rename(self, bundle_id: str) -> None:
         """Go on under another compatible bundle (`core.compatibility`)."""
@@ -113,19 +118,31 @@ class Monitor:
         """Log time of the next tick [s], None before the first frame."""
         return self._observer.next_tick_s
 
-    def _decide(self, ticks: Iterable[Tick]) -> list[Event]:
+    def _decide(self, rows: Iterable[Ticks]) -> list[Event]:
         events: list[Event] = []
-        for observed in ticks:
-            tick = observed
-            self._quality = tick.quality
-            for signal, since in self._sampler.new_doubts().items():
-                self._decision.withdraw(self._observer.tick_at(since), signal)
-            if self.relearning is not None:
-                self.relearning.add(tick.mode, tick.residuals)
-                mute = np.zeros_like(tick.residuals.usable)  # for who watches too: silence now heals no fault
-                tick = tick._replace(residuals=tick.residuals._replace(usable=mute))
-            self._decision.update(tick.number, tick.mode, tick.residuals)
-            events += self._teller.update(tick.number, self._decision)
-            if self.watch is not None:
-                self.watch(tick, self._decision)
+        for row in rows:
+            done = 0
+            while done < len(row):
+                ticks = row.part(done, done + self._most_at_once)
+                done += self._decide_first(ticks, events)
         return events
+
+    @property
+    def _most_at_once(self) -> int:
+        """Ticks that may be decided together: where each is watched, or an event waits for some more, one."""
+        return 1 if self.watch is not None or self.relearning is not None or self._teller.waits else MOST_AT_ONCE
+
+    def _decide_first(self, ticks: Ticks, events: list[Event]) -> int:
+        """Decide the first of these ticks, as many as the decision takes at once; add their events, return how many."""
+        for signal, since in self._sampler.new_doubts().items():
+            self._decision.withdraw(self._observer.tick_at(since), signal)
+        residuals = ticks.residuals
+        if self.relearning is not None:
+            self.relearning.add(int(ticks.modes[0]), residuals.at(0))
+            residuals = residuals._replace(usable=np.zeros_like(residuals.usable))  # silence now heals no fault
+        count = self._decision.extend(ticks.first, ticks.modes, residuals)
+        self._quality = ticks.quality[count - 1]
+        events += self._teller.update(ticks.first + count - 1, self._decision)
+        if self.watch is not None:  # it sees too that no test can tell
+            self.watch(ticks.at(0)._replace(residuals=residuals.at(0)), self._decision)
+        return count

@@ -59,7 +59,7 @@ class BaselineLevel:
         )
 
     def taken_off(self, mode: int, residuals: FloatArray, excess: FloatArray = NO_EXCESS) -> FloatArray:
-        """Return the residuals (T,) of a tick without the baseline; those of networks without a twin as they are.
+        """Return the residuals (..., T) of ticks without the baseline; those of networks without a twin as they are.
 
         The less is known of the baseline, and the larger the `excess` (T,) of a network's variance, the nearer they are
         to the offset: a detector's threshold then is the spread of drives, and not that within one. At an edge the
@@ -68,6 +68,6 @@ class BaselineLevel:
         level = residuals.copy()
         offset, moved, wider = self._offset[mode], self._moved, self._wider[mode]
         if excess.ndim:
-            wider = np.sqrt(wider**2 + excess[moved] / self._spread[mode] ** 2)
-        level[moved] = offset + (residuals[moved] - offset - self._mean[mode]) / wider
+            wider = np.sqrt(wider**2 + excess[..., moved] / self._spread[mode] ** 2)
+        level[..., moved] = offset + (residuals[..., moved] - offset - self._mean[mode]) / wider
         return level

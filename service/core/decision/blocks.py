@@ -5,6 +5,7 @@ that the sampling aliases have two or three levels, and a median jumps between t
 """
 
 from collections.abc import Iterator, Sequence
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -50,25 +51,39 @@ class BlockMeans:
         self._period_s, self._length = time.period_s, time.ticks(BLOCK)
         self._mode = EDGE
         self._begins = False
-        self._ticks: list[Residuals] = []
+        self._rows: list[Residuals] = []
+        self._open = 0  # ticks in them
+
+    def room(self, mode: int) -> float:
+        """Return how many more ticks in this mode the open block takes; the first of another mode closes it."""
+        if mode == EDGE:
+            return inf
+        return self._length - self._open if mode == self._mode else 1
 
     def add(self, tick: int, mode: int, residuals: Residuals) -> Block | None:
         """Take a tick; return the block that it closes, or that the mode before it has closed."""
+        return self.extend(tick, mode, residuals.in_a_row)
+
+    def extend(self, tick: int, mode: int, residuals: Residuals) -> Block | None:
+        """Take ticks in a row from this one on, no more than there is room for; else as `add`."""
         closed = None
         if mode != self._mode:
             closed = self._close(tick - 1)
             self._mode, self._begins = mode, True
         if mode == EDGE:
             return closed
-        self._ticks.append(residuals)
-        if len(self._ticks) == self._length:
-            closed = self._close(tick)
+        self._rows.append(residuals)
+        self._open += len(residuals.r)
+        if self._open == self._length:
+            closed = self._close(tick + len(residuals.r) - 1)
         return closed
 
     def _close(self, tick: int) -> Block | None:
         """Return the open block, which ends with this tick, where it has enough ticks; then open another."""
         block = None
-        usable = np.array([each.counted[self._columns] for each in self._ticks]).reshape(-1, len(self._columns))
+        if not self._rows:
+            return block
+        usable = np.concatenate([each.counted for each in self._rows])[:, self._columns]
         ticks = usable.sum(axis=0, dtype=np.float64)
         counts = ticks >= FEWEST * self._length
         if counts.any():
@@ -78,29 +93,29 @@ class BlockMeans:
                 mode=np.array([self._mode]),
                 begins=np.array([self._begins]),
                 ticks=np.where(counts, ticks, 0.0)[None],
-                mean=(self._sum(usable, [each.r for each in self._ticks]) / most)[None],
+                mean=(self._sum(usable, [each.r for each in self._rows]) / most)[None],
                 part=_part(usable, most)[None],
                 shift=(self._shift(usable) / most)[None],
                 excess=(self._excess(usable) / most)[None],
             )
             self._begins = False
-        self._ticks = []
+        self._rows, self._open = [], 0
         return block
 
     def _sum(self, usable: Mask, values: Sequence[FloatArray]) -> FloatArray:
-        """The sums (K,) of the values (T,) of every tick, where these are `usable` (n, K)."""
-        return np.asarray(np.where(usable, np.array(values)[:, self._columns], 0.0).sum(axis=0))
+        """The sums (K,) of the values (..., T) of all ticks, where these are `usable` (n, K)."""
+        return np.asarray(np.where(usable, np.concatenate(values)[:, self._columns], 0.0).sum(axis=0))
 
     def _shift(self, usable: Mask) -> FloatArray:
         """The sums (H, K) of what the hypotheses do to the residuals."""
         if not self._hypotheses:
             return np.zeros((0, len(self._columns)))
-        shift = np.array([each.shift[: self._hypotheses] for each in self._ticks])
+        shift = np.concatenate([each.shift[:, : self._hypotheses] for each in self._rows])
         return np.asarray(np.where(usable[:, None], shift, 0.0).sum(axis=0))
 
     def _excess(self, usable: Mask) -> FloatArray:
         """The sums (K,) of the variances of networks' errors."""
-        said = [each.excess for each in self._ticks]
+        said = [each.excess for each in self._rows]
         return self._sum(usable, said) if said[0].ndim else np.zeros(len(self._columns))
 
 

@@ -14,11 +14,12 @@ Onsets are every block's beginning, thinned so that they lie the closer the youn
 one whose neighbours lie closest together, in parts of its age. The first, the start of the drive, is never left out.
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
-from faultline.service.core.decision.baseline import BaselineFilter, BaselineModel, GaussianState, signature
+from faultline.service.core.decision.baseline import BaselineFilter, BaselineModel, GaussianState, Innovation, signature
 from faultline.service.core.decision.blocks import Block
 from faultline.service.core.decision.look import Segments
 from faultline.service.core.decision.odd_visits import OddVisits
@@ -42,8 +43,10 @@ class Change(NamedTuple):
 class ChangeDetector:
     """The ratios of B logs. State: the filter, and for each onset the effects, A and c of all hypotheses."""
 
+    of_filter: type[BaselineFilter] = BaselineFilter
+
     def __init__(self, model: BaselineModel, segments: Segments, hypotheses: int, logs: int = 1) -> None:
-        self.filter, self._odd = BaselineFilter(model, logs), OddVisits(model, logs)
+        self.filter, self._odd = self.of_filter(model, logs), OddVisits(model, logs, self.of_filter)
         self._segments = segments
         self.faults = list(dict.fromkeys(segments.faults))
         self._own = [np.flatnonzero([name == fault for name in segments.faults]) for fault in self.faults]
@@ -64,6 +67,11 @@ class ChangeDetector:
         self._add_onset(block)
         innovation = self.filter.step(block)
         self._odd.step(block, innovation.log_density)
+        self._add(block, innovation)
+        return self._likeliest()
+
+    def _add(self, block: Block, innovation: Innovation) -> None:
+        """Add a block to what each onset has."""
         B, T = self.onset_s.shape
         none = np.zeros((B, 1, block.shift.shape[-1]))
         shift = np.concatenate([none, block.shift, np.broadcast_to(self._unit, (B, *self._unit.shape))], axis=1)
@@ -74,7 +82,6 @@ class ChangeDetector:
         self._along += (g[:, :, self._segments.begin] * g[:, :, self._segments.end]).sum(axis=-1)
         free = g[:, :, -len(self._unit) :]
         self._free += free @ free.swapaxes(2, 3)
-        return self._likeliest()
 
     @property
     def ratios(self) -> FloatArray:
@@ -95,18 +102,23 @@ class ChangeDetector:
     def forget_onsets(self, state: GaussianState) -> None:
         """Look for changes from now on only, from this state of the filter."""
         self.filter.state = state
-        self._keep(np.zeros((len(self.onset_s), 0), dtype=np.intp))
+        self.onset_s, self._explained = self.onset_s[:, :0], self._explained[:, :0]
+        self.before = GaussianState(*(each[:, :0] for each in self.before))
+        self._effect, self._A, self._c, self._along, self._free = (each[:, :0] for each in self._sums)
 
     def _likeliest(self) -> Change:
         B, T = self.onset_s.shape
-        ratios = self.ratios
-        of_faults = [ratios[..., own].max(axis=-1) for own in self._own]
-        table = np.stack([*of_faults, self._undeclared()], axis=-1)
+        table = np.stack([*self._of_faults(), self._undeclared()], axis=-1)
         self._table = table - (self._odd.explained[:, None] - self._explained)[..., None]
         table = self._table.reshape(B, -1)
         best = table.argmax(axis=1)
         onset, fault = np.divmod(best, table.shape[1] // T)
         return Change(np.take_along_axis(table, best[:, None], 1)[:, 0], fault, onset)
+
+    def _of_faults(self) -> Iterable[FloatArray]:
+        """The ratios (B, T) of each declared fault."""
+        ratios = self.ratios
+        return [ratios[..., own].max(axis=-1) for own in self._own]
 
     def _undeclared(self) -> FloatArray:
         """The ratios (B, T) of a shift by any constant."""
@@ -120,35 +132,31 @@ class ChangeDetector:
     def _add_onset(self, block: Block) -> None:
         """Add the beginning of the block to the onsets; where the table is full, leave one out."""
         B, T = self.onset_s.shape
+        out = None
         if T == ONSETS:
             now = block.end_s[:, None]
             later = np.concatenate([self.onset_s[:, 2:], now], axis=1)
             gap = (later - self.onset_s[:, :-1]) / np.maximum(now - self.onset_s[:, 1:], 1e-9)
-            out = 1 + gap.argmin(axis=1)[:, None]
-            self._keep(np.arange(T - 1) + (np.arange(T - 1) >= out))
+            out = 1 + gap.argmin(axis=1)
         began, state = self.filter.end_s, self.filter.state
-        self.onset_s = _behind(self.onset_s, began)
-        self._explained = _behind(self._explained, self._odd.before)
-        self.before = GaussianState(*(_behind(each, new) for each, new in zip(self.before, state, strict=True)))
+        self.onset_s = _behind(self.onset_s, began, out)
+        self._explained = _behind(self._explained, self._odd.before, out)
+        self.before = GaussianState(*(_behind(each, new, out) for each, new in zip(self.before, state, strict=True)))
         self._effect, self._A, self._c, self._along, self._free = (
-            _behind(each, np.zeros((B, *each.shape[2:])))
-            for each in (self._effect, self._A, self._c, self._along, self._free)
+            _behind(each, np.zeros((B, *each.shape[2:])), out) for each in self._sums
         )
 
-    def _keep(self, kept: Indices) -> None:
-        """Keep these onsets (B, n) only."""
-        self.onset_s, self._explained = _chosen(self.onset_s, kept), _chosen(self._explained, kept)
-        self.before = GaussianState(*(_chosen(each, kept) for each in self.before))
-        self._effect, self._A, self._c, self._along, self._free = (
-            _chosen(each, kept) for each in (self._effect, self._A, self._c, self._along, self._free)
-        )
+    @property
+    def _sums(self) -> tuple[FloatArray, ...]:
+        """What is added up since each onset."""
+        return self._effect, self._A, self._c, self._along, self._free
 
 
-def _chosen(table: FloatArray, kept: Indices) -> FloatArray:
-    """The entries (B, n, ...) of a table (B, T, ...)."""
-    return table[np.arange(len(table))[:, None], kept]
-
-
-def _behind(table: FloatArray, new: FloatArray) -> FloatArray:
-    """A table (B, T, ...) with a new entry (B, ...) behind."""
-    return np.concatenate([table, new[:, None]], axis=1)
+def _behind(table: FloatArray, new: FloatArray, out: Indices | None) -> FloatArray:
+    """A table (B, T, ...) with a new entry (B, ...) behind, which takes the room of those that go `out` (B,)."""
+    if out is None:
+        return np.concatenate([table, new[:, None]], axis=1)
+    for log, gone in zip(table, out.tolist(), strict=True):
+        log[gone:-1] = log[gone + 1 :]
+    table[:, -1] = new
+    return table

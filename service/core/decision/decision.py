@@ -23,18 +23,19 @@ import numpy as np
 
 from faultline.service.core.decision.blocks import BLOCK as BLOCK_OF_MEANS
 from faultline.service.core.decision.drive_change import DriveChange
-from faultline.service.core.decision.explaining import Explainer
+from faultline.service.core.decision.explaining import Explainer, Explanations
 from faultline.service.core.decision.hypotheses import Hypotheses, without_sizes
 from faultline.service.core.decision.intermittence import BLOCK, CLEAR, Intermittence
 from faultline.service.core.decision.look import Fitted, Look
 from faultline.service.core.decision.model_error import ModelError
+from faultline.service.core.decision.parts import PARTS, Parts
 from faultline.service.core.decision.window import Blocks, Window
 from faultline.service.core.detectors.bank import NONE, DetectorBank
 from faultline.service.core.manifest import Manifest
 from faultline.service.core.records.event import Diagnosis, candidates
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.modes import EDGE
-from faultline.service.core.signals.values import FloatArray, Mask
+from faultline.service.core.signals.values import FloatArray, Indices, Mask
 from faultline.service.core.time_scale import Span, ticks_of
 
 RANKING = Span(periods=15)
@@ -83,10 +84,10 @@ HEALED = Span(settlings=0.75, seconds=15)
 class Decision:
     """Detectors and isolation: residuals in; alarmed tests, tests that cannot tell and ranked diagnoses out."""
 
-    def __init__(self, manifest: Manifest) -> None:
+    def __init__(self, manifest: Manifest, parts: Parts = PARTS) -> None:
         self._tests = [generator.test for generator in manifest.generators]
         names = [generator.name for generator in manifest.generators]
-        self._fresh_detectors = partial(DetectorBank, manifest.detectors, names, manifest.time)
+        self._fresh_detectors = partial(DetectorBank, manifest.detectors, names, manifest.time, parts.cusums)
         self._detectors = self._fresh_detectors()
         self._inputs = [frozenset(generator.inputs) for generator in manifest.generators]
         of_equations = {g.graph for g in manifest.generators if g.name in manifest.evidence.generators}
@@ -95,19 +96,19 @@ class Decision:
         self._ranking, self._block, self._vain = map(time.ticks, (RANKING, BLOCK, VAIN))
         self._quick = time.ticks(BLOCK_OF_MEANS) <= self._ranking
         self._unseen_most, self._linger, self._healed = map(time.ticks, (UNSEEN, LINGER, HEALED))
-        self._alone = time.ticks(ALONE)
+        self._alone, self._longest = time.ticks(ALONE), time.ticks(BLOCK_OF_MEANS)
         self._settle_ticks = ticks_of(
             max(g.warm_up_s for g in manifest.generators if g.name in manifest.evidence.generators), time.period_s
         )
         self._looked_at = [names.index(name) for name in manifest.evidence.generators]
         alone = {each.name for each in manifest.disturbances}
-        self._hypotheses = Hypotheses(manifest.evidence, alone, without_sizes(manifest))
+        self._hypotheses = Hypotheses(manifest.evidence, alone, without_sizes(manifest), parts.look)
         self._explainer = Explainer(manifest)
         covered = [*manifest.evidence.generators, *(each.generator for each in manifest.evidence.followers)]
         self._covered = frozenset(map(names.index, covered))
         self._networks = frozenset(range(len(names))) - self._trusted
         self._model_error = ModelError(manifest.evidence, names)
-        self._change = DriveChange(manifest.evidence, names, self._hypotheses, time)
+        self._change = DriveChange(manifest.evidence, names, self._hypotheses, time, parts.changes)
         self._window, self._quiet = Blocks(manifest.evidence, names, time), Window(manifest.evidence, names, time)
         self._intermittence = Intermittence(self._hypotheses)
         self._latest: int | None = None  # tick at which a test alarmed last, in this episode
@@ -125,25 +126,65 @@ class Decision:
         self._doubts = 0  # looks in a row at which nothing is wrong after all
         self._doubted: frozenset[int] | None = None  # generators that alarm though nothing is wrong, once that is seen
         self._undeclared = False  # whether the evidence said last that the fault may be none of the declared ones
-        self._diagnoses: list[Diagnosis] = []
-        self._seen: list[Diagnosis] = []  # what the last look said
+        self._explanations = self._seen = Explanations()  # those that stand, and what the last look said
         self.confirmed = self.withdrawn = False
         self.level = np.zeros(len(self._tests))  # residuals without the baseline, as detectors see them
-        self._usable = np.zeros(len(self._tests), dtype=np.bool_)
+        self._mode, self._usable = EDGE, np.zeros(len(self._tests), dtype=np.bool_)  # of the last tick
         self._blind: tuple[tuple[bytes, frozenset[int]], list[str]] = (b"", frozenset()), []  # of which state, and who
 
     def update(self, tick: int, mode: int, residuals: Residuals) -> None:
         """Takes the residuals of a tick. The detector of a test that cannot tell is frozen, its alarm stands."""
-        residuals = self._model_error.beside(mode, residuals)
-        self._usable = residuals.usable
-        self.level = self._change.without_baseline(mode, residuals)
-        self._detectors.update(tick, mode, residuals._replace(level=self.level))
-        self._change.add(tick, mode, residuals, suspected=self._latest is not None and self._doubted is None)
+        self.extend(tick, np.array([mode]), residuals.in_a_row)
+
+    def extend(self, first: int, modes: Indices, residuals: Residuals) -> int:
+        """Take ticks in a row from the `first` on, with their modes (n,), as `update` does one by one; return how many.
+
+        They end before one at which something may change that an event says, or with it where that is the first; only
+        a suspicion may begin at the last of several.
+        """
+        mode = int(modes[0])
+        most = min(self._room(first, mode), len(modes))
+        residuals = self._model_error.beside(mode, residuals.part(0, most))
+        ticks = self._alike(modes[:most], residuals.usable)
+        if ticks < most:
+            residuals = residuals.part(0, ticks)
+        level = self._change.without_baseline(mode, residuals)
+        ticks = self._detectors.extend(first, mode, residuals._replace(level=level))
+        if ticks < len(level):
+            residuals = residuals.part(0, ticks)
+        self._mode, self._usable, self.level = mode, residuals.usable[-1], level[ticks - 1]
+        suspected = self._latest is not None and self._doubted is None
+        self._change.extend(first, mode, residuals, suspected=suspected)
+        self._judge(first + ticks - 1, mode, residuals)
+        return ticks
+
+    def _room(self, tick: int, mode: int) -> int:
+        """Return for how many ticks from this one on nothing is due but at the last."""
+        if not self._detectors.takes_rows:
+            return 1
+        room = self._change.room(mode)
+        if self._latest is not None:
+            if not self.suspicious:  # it waits for the episode's end
+                return 1
+            dues = [self._first + self._settle_ticks, self._first + self._alone]
+            room = min(
+                room - 1, -tick % self._ranking, -tick % self._block, *(due - tick for due in dues if due >= tick)
+            )
+        return int(max(1, min(room, self._longest)))
+
+    def _alike(self, modes: Indices, usable: Mask) -> int:
+        """Return how many of the ticks are as the one before them, or 1: in the same mode, with the same tests."""
+        alike = (modes == self._mode) & (usable == self._usable).all(axis=1)
+        return len(alike) if alike.all() else max(1, int(alike.argmin()))
+
+    def _judge(self, tick: int, mode: int, residuals: Residuals) -> None:
+        """Decide after ticks in a row, of which this is the last."""
         if tick % self._ranking == 0:
             self._change.look()
         if self.suspicious:
             if self._latest is None or self._is_news():
                 self._open(tick)
+                residuals = residuals.part(-1, len(residuals.r))
             self._latest, self._alarmed = tick, self._detectors.alarmed or self._alarmed
             self._is_backed |= self._suspects_but(self._networks) or tick - self._first >= self._alone
             self._calm[:] = 0.0
@@ -154,15 +195,15 @@ class Decision:
         if settled and not self._cleared:
             self._window.clear()
             self._cleared = True
-        self._window.add(mode, residuals)
-        self._quiet.add(mode, residuals)
+        self._window.extend(mode, residuals)
+        self._quiet.extend(mode, residuals.part(-1, len(residuals.r)))
         if tick % self._ranking == 0 and self._doubted is None and (self.suspicious or not self._settled):
             self._weigh(settled)  # but not what is healing
             self._doubt(tick)
         if tick % self._block == 0:
             self._close_block()
         if self.suspicious:
-            self._count_unseen()
+            self._count_unseen(len(residuals.r))
         else:
             self._wait(tick, mode)
 
@@ -176,7 +217,7 @@ class Decision:
             return
         self._detectors = self._fresh_detectors()
         self._change.rest()
-        self._latest, self._doubted, self._diagnoses = None, None, []
+        self._latest, self._doubted, self._explanations = None, None, Explanations()
         self.withdrawn, self.confirmed = self.confirmed, False
 
     def _open(self, tick: int) -> None:
@@ -191,13 +232,13 @@ class Decision:
         self._intermittence.rest()
         self._change.suspect(tick)
 
-    def _count_unseen(self) -> None:
+    def _count_unseen(self, ticks: int) -> None:
         """Counts while a test of the equations alarms and can tell, and one that the window looks at cannot."""
         alarmed = self._detectors.alarmed & self._trusted
         if self._usable[self._looked_at].all() or not alarmed:
             self._unseen = 0
         elif any(self._usable[row] for row in alarmed):
-            self._unseen += 1
+            self._unseen += ticks
 
     def _wait(self, tick: int, mode: int) -> None:
         """A tick without alarm: the episode ends in time."""
@@ -209,7 +250,7 @@ class Decision:
             if self.confirmed:
                 self._change.rest()
             self._latest, self._doubted, self.confirmed = None, None, False
-            self._diagnoses = []
+            self._explanations = Explanations()
 
     def _is_gone(self) -> bool:
         """Whether all that the window could not tell apart fits what is seen since then far worse than no fault."""
@@ -257,7 +298,7 @@ class Decision:
     def _doubt(self, tick: int) -> None:
         """Whether nothing is wrong after all, or what is wrong cannot be confirmed: then it is the baseline's."""
         if self._doubts >= DOUBTS or (not self.confirmed and tick - self._first >= self._vain):
-            self.confirmed, self._diagnoses = False, []
+            self.confirmed, self._explanations = False, Explanations()
             self._doubted = self._detectors.firing
             self._change.accept()
 
@@ -340,27 +381,32 @@ class Decision:
     @property
     def settled(self) -> bool:
         """Return True if what is confirmed is ranked by what the window shows, and not named by conflicts alone."""
-        return bool(self._diagnoses) and self._ranked
+        return bool(self.named) and self._ranked
 
     @property
     def diagnoses(self) -> list[Diagnosis]:
         """What explains a confirmed fault, best first. An alarm whose test has become unable to tell still counts."""
-        return self._diagnoses
+        return self._explanations.diagnoses
+
+    @property
+    def named(self) -> list[Diagnosis]:
+        """Return the diagnoses without their sizes."""
+        return self._explanations.named
 
     def _explain(self) -> None:
         """What a look says stands once the next one says the same: near a limit they alternate."""
         seen = self._explained()
-        if candidates(seen) == candidates(self._seen) or not self._diagnoses:
-            self._diagnoses, self._ranked = seen, self._by_evidence
+        if candidates(seen.named) == candidates(self._seen.named) or not self.named:
+            self._explanations, self._ranked = seen, self._by_evidence
         self._seen = seen
 
-    def _explained(self) -> list[Diagnosis]:
+    def _explained(self) -> Explanations:
         alarmed = self._alarmed & self._trusted
         look = self._look if self._settled and not self.intermittent else None
         self._by_evidence = look is not None and bool(look.faults)
         if look is not None and self._by_evidence:
             seen = self._explainer.by_evidence(sorted(self._deviating or alarmed), look)
-            self._undeclared = any(not each.faults and each.rank == 1 for each in seen)
+            self._undeclared = any(not each.faults and each.rank == 1 for each in seen.named)
             return seen
         rows = (self._deviating or alarmed) if self._settled else self._deviating | alarmed
         return self._explainer.by_conflicts(sorted(rows), self._look, self.intermittent and self._undeclared)

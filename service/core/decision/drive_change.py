@@ -6,6 +6,7 @@ filter that went on would take the fault for the baseline's in time. Evidence th
 """
 
 from collections.abc import Sequence
+from math import inf
 
 import numpy as np
 
@@ -34,7 +35,14 @@ not fallen by more from its peak."""
 class DriveChange:
     """The detector, the baseline's level and what was seen of late, of one drive."""
 
-    def __init__(self, evidence: Evidence, generators: Sequence[str], hypotheses: Hypotheses, time: TimeScale) -> None:
+    def __init__(
+        self,
+        evidence: Evidence,
+        generators: Sequence[str],
+        hypotheses: Hypotheses,
+        time: TimeScale,
+        detector: type[ChangeDetector] = ChangeDetector,
+    ) -> None:
         self._frozen = time.ticks(FROZEN)
         self._rows = [generators.index(name) for name in evidence.generators]
         self._hypotheses, self._count = hypotheses, evidence.simple
@@ -42,6 +50,7 @@ class DriveChange:
         self._baseline = BaselineLevel(evidence, generators, self._model)
         self._blocks = BlockMeans(evidence, generators, time)
         self._recent = Recent(evidence, generators, time)
+        self._of_changes = detector
         self._detector = self._fresh()
         self._blind = 0  # ticks since any of the evidence could tell
         self._suspected, self._sure = (
@@ -55,25 +64,35 @@ class DriveChange:
         self.alarm = self.sure = False
 
     @property
+    def is_held(self) -> bool:
+        """Return True if the baseline is held: then blocks do not change whether it alarms, and looks do."""
+        return self._held
+
+    @property
     def level(self) -> Level:
         """Return the level of the means by the baseline as it was before what is suspected."""
         return self._baseline.level
 
     def without_baseline(self, mode: int, residuals: Residuals) -> FloatArray:
-        """Return the residuals (T,) of a tick as detectors of the level see them."""
+        """Return the residuals (..., T) of ticks as detectors of the level see them."""
         return self._baseline.taken_off(mode, residuals.r, residuals.excess)
 
-    def add(self, tick: int, mode: int, residuals: Residuals, *, suspected: bool) -> None:
-        """Take a tick, at which something is suspected already or not."""
-        usable = residuals.usable[self._rows]
+    def room(self, mode: int) -> float:
+        """Return how many ticks in this mode it takes at once, the last of which may say something."""
+        until_fresh = self._frozen - self._blind - 1
+        return min(self._blocks.room(mode), max(1, until_fresh) if self._blind else inf)
+
+    def extend(self, tick: int, mode: int, residuals: Residuals, *, suspected: bool) -> None:
+        """Take ticks in a row from this one on, in which the same tests can tell; something is suspected or not."""
+        usable = residuals.usable[0, self._rows]
         self.blind = not usable.all()
-        self._blind = 0 if usable.any() else self._blind + 1
+        self._blind = 0 if usable.any() else self._blind + len(residuals.r)
         if self._blind == self._frozen:
             self._detector = self._fresh()
             self._baseline.follow(self._of_filter())
             self.rest()
-        self._recent.add(mode, residuals)
-        block = self._blocks.add(tick, mode, residuals)
+        self._recent.extend(mode, residuals)
+        block = self._blocks.extend(tick, mode, residuals)
         if block is None:
             return
         change = self._detector.step(block)
@@ -127,7 +146,7 @@ class DriveChange:
         self._recent.clear()
 
     def _fresh(self) -> ChangeDetector:
-        return ChangeDetector(self._model, self._hypotheses.segments, self._count)
+        return self._of_changes(self._model, self._hypotheses.segments, self._count)
 
     def _of_filter(self) -> GaussianState:
         return self._detector.filter.state
@@ -138,7 +157,7 @@ class DriveChange:
         if not len(earlier):
             return self._of_filter()
         before = self._detector.before
-        return GaussianState(before.mean[:, earlier[-1]], before.covariance[:, earlier[-1]])
+        return GaussianState(*(each[:, earlier[-1]].copy() for each in before))
 
 
 def nats(run_length_h: float, faults: int, time: TimeScale) -> float:

@@ -8,17 +8,19 @@ where a disturbance fits, which is no component's fault, and near the equation t
 A bundle of a single test tells no faults apart: what it shows is one of those that it is sensitive to.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, partial
 from math import e, log
 
 import numpy as np
+from msgspec.structs import replace
 
 from faultline.service.core.decision.hypotheses import confined
 from faultline.service.core.decision.isolation import UNKNOWN, diagnoses
 from faultline.service.core.decision.look import TIE, Look
 from faultline.service.core.decision.size_intervals import SizeIntervals
 from faultline.service.core.manifest import Manifest
-from faultline.service.core.records.event import Diagnosis
+from faultline.service.core.records.event import Diagnosis, Size
 
 UNDECLARED = 0.05
 """The prior probability that a fault is none that the model declares: an engineer's, as no statistics are known."""
@@ -34,6 +36,34 @@ OF_TWO = 15.0
 """By how much two faults must fit better than the best single one: with one more size free, chance fits better too."""
 
 
+class Explanations:
+    """Explanations of what is seen, best first. Their sizes are computed once they are asked for.
+
+    `found` has each with the faults or the disturbance that it is, `size_of` the interval of a single one.
+    """
+
+    def __init__(
+        self,
+        found: Sequence[tuple[tuple[str, ...], Diagnosis]] = (),
+        size_of: Callable[[str], list[Size]] | None = None,
+    ) -> None:
+        self._found, self._size_of = found, size_of
+
+    @property
+    def named(self) -> list[Diagnosis]:
+        """Return them without sizes."""
+        return [each for _, each in self._found]
+
+    @cached_property
+    def diagnoses(self) -> list[Diagnosis]:
+        """Return them with sizes."""
+        if self._size_of is None:
+            return self.named
+        return [
+            replace(each, sizes=self._size_of(faults[0])) if len(faults) == 1 else each for faults, each in self._found
+        ]
+
+
 class Explainer:
     """What generators know of faults: which of them a generator is sensitive to, and in which equations."""
 
@@ -46,14 +76,14 @@ class Explainer:
         self._sizes = SizeIntervals(manifest.evidence)
         self._has_one_test = len({generator.test for generator in manifest.generators}) == 1
 
-    def by_conflicts(self, rows: Sequence[int], look: Look | None, undeclared: bool = False) -> list[Diagnosis]:
+    def by_conflicts(self, rows: Sequence[int], look: Look | None, undeclared: bool = False) -> Explanations:
         """The explanations that these generators allow, all of one rank; one may be that it is `undeclared`."""
         named = diagnoses([self._moving(row, look) for row in rows] or [self._faults])
         if undeclared and UNKNOWN not in named:
             named = [*named, UNKNOWN]
-        return self._ranked(named, {}, {}, rows, None)
+        return Explanations(self._ranked(named, {}, {}, rows))
 
-    def by_evidence(self, rows: Sequence[int], look: Look) -> list[Diagnosis]:
+    def by_evidence(self, rows: Sequence[int], look: Look) -> Explanations:
         """Those of them that fit what is seen."""
         if self._has_one_test:
             return self.by_conflicts(rows, look)
@@ -63,11 +93,16 @@ class Explainer:
             none = undeclared(max(look.chance(faults, q) for faults, q in misfits.items()))
             p = {faults: round(each * (1.0 - none), 3) for faults, each in probabilities(misfits).items()}
             rank = 1 if none >= max(p.values(), default=0.0) else 1 + len(misfits)
-            unknown = Diagnosis(faults=[*UNKNOWN], rank=rank, p=round(none, 3))
-            return in_order([*self._ranked([*misfits], misfits, p, rows, look), unknown])
-        told = self._ranked([*misfits, *nearest(conflicts, look)], {}, {}, rows, look)
-        unknown = self._told(UNKNOWN, 1 + len(misfits), None, rows, look)  # behind two that explain all of it
-        return [*told, unknown] if misfits else [unknown, *told]
+            found = [
+                *self._ranked([*misfits], misfits, p, rows),
+                (UNKNOWN, Diagnosis(faults=[], rank=rank, p=round(none, 3))),
+            ]
+            found.sort(key=lambda each: each[1].rank)  # of one rank as they are
+        else:
+            unknown = UNKNOWN, self._diagnosis(UNKNOWN, 1 + len(misfits), None, rows)
+            found = self._ranked([*misfits, *nearest(conflicts, look)], {}, {}, rows)
+            found = [*found, unknown] if misfits else [unknown, *found]  # behind two that explain all of it
+        return Explanations(found, partial(self._sizes.of, look=look))
 
     def _moving(self, row: int, look: Look | None) -> frozenset[str]:
         """The faults that move a generator, by themselves or by a consequence that the look shows."""
@@ -85,20 +120,16 @@ class Explainer:
         misfits: Mapping[tuple[str, ...], float],
         p: Mapping[tuple[str, ...], float],
         rows: Sequence[int],
-        look: Look | None,
-    ) -> list[Diagnosis]:
-        return [self._told(faults, rank, p.get(faults), rows, look) for faults, rank in ranked(found, misfits)]
+    ) -> list[tuple[tuple[str, ...], Diagnosis]]:
+        return [(faults, self._diagnosis(faults, rank, p.get(faults), rows)) for faults, rank in ranked(found, misfits)]
 
-    def _told(
-        self, faults: tuple[str, ...], rank: int, p: float | None, rows: Sequence[int], look: Look | None
-    ) -> Diagnosis:
-        """An explanation as it is told: nobody is named for a disturbance."""
-        sizes = self._sizes.of(faults[0], look) if look is not None and len(faults) == 1 else []
+    def _diagnosis(self, faults: tuple[str, ...], rank: int, p: float | None, rows: Sequence[int]) -> Diagnosis:
+        """An explanation as it is published: no component is named for a disturbance."""
         if near := [self._disturbed[name] for name in faults if name in self._disturbed]:
-            return Diagnosis(faults=[], rank=rank, p=p, near=near, sizes=sizes)
+            return Diagnosis(faults=[], rank=rank, p=p, near=near)
         if faults == UNKNOWN and rows:
             near = sorted(frozenset.intersection(*(self._equations[row] for row in rows)))
-        return Diagnosis(faults=list(faults), rank=rank, p=p, near=near, sizes=sizes)
+        return Diagnosis(faults=list(faults), rank=rank, p=p, near=near)
 
 
 def fitting(conflicts: Sequence[frozenset[str]], look: Look) -> dict[tuple[str, ...], float]:
@@ -153,11 +184,6 @@ def undeclared(chance: float) -> float:
     """
     ratio = 0.0 if chance <= 0.0 else -e * chance * log(chance) if chance < 1.0 / e else 1.0
     return UNDECLARED / (UNDECLARED + (1.0 - UNDECLARED) * ratio)
-
-
-def in_order(diagnoses: Sequence[Diagnosis]) -> list[Diagnosis]:
-    """Return diagnoses by their ranks; of one rank as they are."""
-    return sorted(diagnoses, key=lambda each: each.rank)
 
 
 def ranked(

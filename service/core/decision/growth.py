@@ -28,9 +28,9 @@ class Growth:
     """The courses that faults may have taken in one window, for the means `seen` (C, K)."""
 
     def __init__(self, history: History, seen: Mask) -> None:
-        self._ticks = np.maximum(history.ticks[:, seen].sum(axis=0), 1.0)  # (D,)
-        self._shift = history.shift[:, :, seen]  # (N, H, D), sums
-        self._course = _courses(history.age)
+        self.ticks = np.maximum(history.ticks[:, seen].sum(axis=0), 1.0)  # (D,)
+        self.shift = history.shift[:, :, seen]  # (N, H, D), sums
+        self.course = _courses(history.age)  # (W, N)
         self._parts: dict[int, FloatArray] = {}
 
     def shifts(self, rows: Indices) -> FloatArray:
@@ -41,12 +41,12 @@ class Growth:
         """
         if len(rows) not in self._parts:
             self._parts[len(rows)] = self._sized(len(rows))
-        total = self._parts[len(rows)] @ self._shift[:, rows].reshape(-1, self._shift.shape[-1])
-        return np.asarray(total / self._ticks)
+        total = self._parts[len(rows)] @ self.shift[:, rows].reshape(-1, self.shift.shape[-1])
+        return np.asarray(total / self.ticks)
 
     def _sized(self, steps: int) -> FloatArray:
         """What each assumed size has of the shift of each part of the window (M, N J)."""
-        at = np.multiply.outer(present_sizes(steps), self._course).reshape(-1, self._course.shape[1], 1)  # (M, N, 1)
+        at = np.multiply.outer(present_sizes(steps), self.course).reshape(-1, self.course.shape[1], 1)  # (M, N, 1)
         return np.maximum(1.0 - np.abs(at - np.arange(1, steps + 1)), 0.0).reshape(len(at), -1)
 
 

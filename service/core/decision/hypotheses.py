@@ -20,8 +20,10 @@ class Hypotheses:
         evidence: Evidence,
         alone: Collection[str] = (),
         sensitive: Mapping[str, Mapping[str, str]] = NO_SIGNATURES,
+        look: type[Look] = Look,
     ) -> None:
-        """`sensitive` has what `without_sizes` returns."""
+        """`sensitive` has what `without_sizes` returns; a `look` is of this class."""
+        self._look = look
         self._straying = Straying(evidence)
         self.segments = _segments(evidence, alone)
         self._brought = {each.fault: _rows_of_consequence(evidence, each.fault) for each in evidence.consequences}
@@ -42,7 +44,7 @@ class Hypotheses:
         S = (level.covariance + self._straying.scatter(means))[np.ix_(rows, rows)]
         shift = (means.shift / np.maximum(means.ticks, 1.0))[:, seen]
         shifts = np.concatenate([np.zeros((1, len(d))), shift])
-        return Look(d, S, seen, shifts, self.segments, self._signatures, self._shown(means), history)
+        return self._look(d, S, seen, shifts, self.segments, self._signatures, self._shown(means), history)
 
     def _shown(self, means: Means) -> dict[str, Consequences]:
         """The consequences that show in some mode."""

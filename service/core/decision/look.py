@@ -140,9 +140,10 @@ class Look:
         self._shifts, self.brought, self._history = shifts, brought, history
         self.prices: dict[tuple[str, ...], float] = {}
         self._nothing_in: dict[bytes, float] = {}
-        self._white = np.linalg.cholesky(S)
-        self._target = np.linalg.solve(self._white, d)
-        white = np.linalg.solve(self._white, shifts.T).T
+        self._white = np.linalg.cholesky(S).astype(np.float64, copy=False)
+        self._whitener = np.linalg.inv(self._white)
+        self._target = self._whitener @ d
+        white = self._whitened(shifts)
         self._begin = white[segments.begin]
         self._way = white[segments.end] - self._begin
         self._length = np.maximum((self._way**2).sum(axis=1), 1e-300)
@@ -264,11 +265,15 @@ class Look:
 
     def _courses(self, number: int) -> FloatArray:
         """The mean shifts (M, D) of one chain's fault by its present size and the course of its growth."""
-        return self._growth.shifts(self.segments.end[self.segments.chain == number] - 1)  # row 0 is no fault
+        return self._growth.shifts(self._rows_of_chain(number))
+
+    def _rows_of_chain(self, number: int) -> Indices:
+        """The hypotheses of one chain, from the smallest size on."""
+        return np.asarray(self.segments.end[self.segments.chain == number] - 1)  # row 0 is no fault
 
     def _whitened(self, mu: FloatArray) -> FloatArray:
         """Shifts (M, D) in the coordinates in which S is the unit matrix."""
-        return np.asarray(np.linalg.solve(self._white, mu.T).T)
+        return np.asarray(mu @ self._whitener.T)
 
     def profile(self, fault: str) -> Profile:
         """The misfits of a fault's sizes, in the form that fits best, with its consequence where that fits best.

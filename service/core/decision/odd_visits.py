@@ -24,11 +24,11 @@ ODD, PROBABILITY = 4.0, 0.02
 class OddVisits:
     """G of the visits of B logs. State: the second filter, G of the present visit without its cost, and the sum."""
 
-    def __init__(self, model: BaselineModel, logs: int = 1) -> None:
+    def __init__(self, model: BaselineModel, logs: int = 1, of_filter: type[BaselineFilter] = BaselineFilter) -> None:
         odd = copy(model)
         odd.stationary = model.stationary.copy()
         odd.stationary[:, model.visit, model.visit] *= ODD**2
-        self._filter = BaselineFilter(odd, logs)
+        self._filter = of_filter(odd, logs)
         self._present, self._before = np.zeros(logs), np.zeros(logs)
 
     def begin(self, block: Block, state: GaussianState, end_s: FloatArray) -> None:

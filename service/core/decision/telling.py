@@ -19,6 +19,10 @@ class Decided(Protocol):
         """What explains a confirmed fault, best first."""
 
     @property
+    def named(self) -> list[Diagnosis]:
+        """Return the same without sizes, which take their time."""
+
+    @property
     def alarm(self) -> list[str]:
         """Tests that alarm and can tell now."""
 
@@ -64,6 +68,11 @@ class Settled(Generic[State]):
         self._seen = value
         self._lasted = 0
 
+    @property
+    def waits(self) -> bool:
+        """Return True if the new one has not lasted long enough, so that how many ticks there are matters."""
+        return self._seen != self.value
+
     def update(self, seen: State) -> bool:
         """Takes what is seen at a tick; whether the value changed."""
         self._lasted = self._lasted + 1 if seen == self._seen else 0
@@ -86,6 +95,11 @@ class Teller:
         self._diagnoses: list[Diagnosis] = []
         self._blind: Settled[list[str]] | None = None
 
+    @property
+    def waits(self) -> bool:
+        """Return True if each tick matters now; if not, several are as the last of them."""
+        return self._blind is None or self._told.waits or self._blind.waits
+
     def update(self, tick: int, decision: Decided) -> list[Event]:
         """The events of this tick, at most one for what is wrong and one for the tests that cannot tell."""
         if self._blind is None:
@@ -93,7 +107,7 @@ class Teller:
             return [self._event(tick, "started", decision)]
         events = []
         before = self._told.value
-        if self._told.update(Told(decision.suspected, candidates(decision.diagnoses), decision.settled)):
+        if self._told.update(Told(decision.suspected, candidates(decision.named), decision.settled)):
             self._diagnoses = decision.diagnoses
             events.append(self._event(tick, _transition(before, self._told.value, decision.withdrawn), decision))
             if before.candidates and not self._told.value.candidates:

@@ -23,7 +23,7 @@ FIRST = 6
 
 PART, RECENT = Span(settlings=7.5, periods=750), Span(settlings=1.5, periods=150)
 _Waiting = tuple[int, int, Residuals]
-"""A tick that is not added yet: its number in the window, its mode and residuals."""
+"""Ticks in a row that are not added yet: the number of the first in the window, their mode and residuals."""
 
 CHUNK, CHUNKS = 5, 64
 """Blocks that are joined once they are no more the last two, and so many of these; then the oldest two become one."""
@@ -47,33 +47,42 @@ class Window:
         K = len(self._columns)
         # Sums as in `Means`, those of hypotheses and of consequences behind the others.
         self._sums = np.zeros((self.PARTS, FIRST + self._hypotheses + self._consequences, self._modes, K))
-        self._values = np.zeros(self._sums.shape[1::2])  # of a tick, beside the sums
         self._visit = Visit(K)
         self._tick = 0
 
     def add(self, mode: int, residuals: Residuals) -> None:
         """Takes the residuals of a tick; those at an edge say nothing."""
-        self._tick += 1
-        self._forget(mode)
-        self._take(self._sums[-1], self._tick, mode, residuals)
+        self.extend(mode, residuals.in_a_row)
 
-    def _take(self, sums: FloatArray, tick: int, mode: int, residuals: Residuals) -> None:
-        """Add a tick to the sums."""
+    def extend(self, mode: int, residuals: Residuals) -> None:
+        """Take ticks in a row of one mode; what is forgotten is so before them."""
+        self._forget(mode)
+        self._take(self._sums[-1], self._tick + 1, mode, residuals)
+        self._tick += len(residuals.r)
+
+    def _take(self, sums: FloatArray, first: int, mode: int, residuals: Residuals) -> None:
+        """Add ticks in a row to the sums, one after the other, so that rounding is that of one at a time."""
         self._visit.in_mode(mode)
         if mode == EDGE:
             return
-        told = residuals.counted[self._columns]
-        values = self._values
-        values[0], values[1], values[4] = 1.0, 2.0 * self._visit.length + 1.0, tick
-        values[2], values[3] = residuals.r[self._columns], residuals.y_hat[self._columns]
+        counted = residuals.counted[:, self._columns]
+        n, behind = len(counted), FIRST + self._hypotheses
+        parts = np.zeros((1 + n, *sums.shape[::2]))
+        parts[0], values = sums[:, mode - 1], parts[1:]
+        length = self._visit.length + counted.cumsum(axis=0)
+        values[:, 0], values[:, 1] = 1.0, 2.0 * length - 1.0
+        values[:, 4] = np.arange(first, first + n)[:, None]
+        values[:, 2], values[:, 3] = residuals.r[:, self._columns], residuals.y_hat[:, self._columns]
         if residuals.excess.ndim:
-            values[5] = residuals.excess[self._columns]
+            values[:, 5] = residuals.excess[:, self._columns]
         if self._hypotheses:
-            values[FIRST : FIRST + self._hypotheses] = residuals.shift
+            values[:, FIRST:behind] = residuals.shift
         if self._consequences:
-            values[FIRST + self._hypotheses :] = residuals.brought[:, None]
-        np.add(sums[:, mode - 1], values, out=sums[:, mode - 1], where=told)
-        self._visit.length = self._visit.length + told
+            values[:, behind:] = residuals.brought[..., None]
+        if not counted.all():
+            values.swapaxes(1, 2)[~counted] = 0.0
+        sums[:, mode - 1] = parts.sum(axis=0)
+        self._visit.length = length[-1]
 
     def _forget(self, mode: int) -> None:
         if mode != EDGE and self._sums[1, 0, mode - 1].max() >= self._part:
@@ -85,10 +94,9 @@ class Window:
         return self._means(self._sums.sum(axis=0))
 
     def _means(self, sums: FloatArray) -> Means:
-        ticks, squares, total, predicted, _, excess, *rest = sums
+        ticks, squares, total, predicted, _, excess = sums[:FIRST]
         squares = np.minimum(squares, ticks**2)  # the beginning of the longest visit may be forgotten
-        behind = np.array(rest).reshape(-1, self._modes, len(self._columns))
-        shift, brought = behind[: self._hypotheses], behind[self._hypotheses :]
+        shift, brought = np.split(sums[FIRST:], [self._hypotheses])
         return Means(ticks, squares, total, predicted, shift, brought, excess)
 
 
@@ -173,18 +181,26 @@ class Recent(Window):
         super().clear()
         self._waiting: tuple[list[_Waiting], list[_Waiting]] = [], []  # of the older part and of the newer
 
-    def add(self, mode: int, residuals: Residuals) -> None:
-        """Takes the residuals of a tick."""
-        self._tick += 1
-        if self._tick % self._recent == 0:
-            older, newer = self._waiting
-            for _, was, residual in older:
-                self._visit.in_mode(was)
-                if was != EDGE:
-                    self._visit.length = self._visit.length + residual.counted[self._columns]
-            self._waiting = newer, []
-            self._sums[0], self._sums[1] = self._sums[1], 0.0
-        self._waiting[1].append((self._tick, mode, residuals))
+    def extend(self, mode: int, residuals: Residuals) -> None:
+        """Take ticks in a row of one mode."""
+        first, end = self._tick + 1, self._tick + 1 + len(residuals.r)
+        for at in range(-(-first // self._recent) * self._recent, end, self._recent):
+            if at > first:
+                self._waiting[1].append((first, mode, residuals.part(0, at - first)))
+                residuals, first = residuals.part(at - first, end - first), at
+            self._turn()
+        self._waiting[1].append((first, mode, residuals))
+        self._tick = end - 1
+
+    def _turn(self) -> None:
+        """The newer part becomes the older one."""
+        older, newer = self._waiting
+        for _, was, residuals in older:
+            self._visit.in_mode(was)
+            if was != EDGE:
+                self._visit.length = self._visit.length + residuals.counted[:, self._columns].sum(axis=0)
+        self._waiting = newer, []
+        self._sums[0], self._sums[1] = self._sums[1], 0.0
 
     @property
     def means(self) -> Means:

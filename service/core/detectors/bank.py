@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from faultline.service.core.detectors.adaptive import Adaptive
-from faultline.service.core.detectors.cusum import Cusum
+from faultline.service.core.detectors.cusum import Cusum, Cusums
 from faultline.service.core.detectors.low_pass import LowPass
 from faultline.service.core.detectors.protocol import Detector
 from faultline.service.core.detectors.spread import Spread
@@ -20,7 +20,7 @@ from faultline.service.core.manifest import (
 )
 from faultline.service.core.manifest import Detector as Settings
 from faultline.service.core.residuals.generators import Residuals
-from faultline.service.core.signals.values import FloatArray
+from faultline.service.core.signals.values import FloatArray, Indices, Mask
 from faultline.service.core.time_scale import Span, TimeScale, ticks_of
 
 FROZEN = Span(settlings=15, seconds=300)
@@ -43,6 +43,30 @@ def detector(settings: Settings, period_s: float) -> Detector:
             return Spread(settings.J, hold, max(1.0, settings.memory_s / period_s))
 
 
+class Each:
+    """Detectors of any kind, one tick at a time."""
+
+    def __init__(self, settings: Sequence[Settings], period_s: float) -> None:
+        self._detectors = [detector(each, period_s) for each in settings]
+
+    def ahead(self, tick: int, s: FloatArray, counted: Mask) -> Mask:
+        """Take a tick, the only one of a row (1, D); return which alarm (1, D)."""
+        for each, value, counts in zip(self._detectors, s[0].tolist(), counted[0].tolist(), strict=True):
+            if counts:
+                each.update(tick, value)
+        return np.array([[each.alarm for each in self._detectors]], dtype=np.bool_)
+
+    @property
+    def since(self) -> list[int]:
+        """Return since which tick each has had evidence; -1 where it has none."""
+        return [-1 if each.since is None else each.since for each in self._detectors]
+
+    @property
+    def signed(self) -> FloatArray:
+        """Return the statistic of each (D,) in parts of its threshold, with the sign of the residual."""
+        return np.array([each.sign * each.value for each in self._detectors])
+
+
 class DetectorBank:
     """The detectors of T generators, of which each has one that tests its level, and may have more.
 
@@ -52,15 +76,21 @@ class DetectorBank:
     generator.
     """
 
-    def __init__(self, settings: Sequence[Settings], generators: Sequence[str], time: TimeScale) -> None:
+    def __init__(
+        self, settings: Sequence[Settings], generators: Sequence[str], time: TimeScale, cusums: type[Cusums] = Cusums
+    ) -> None:
         self._longest = time.ticks(FROZEN)
         self._count = len(generators)
         self._rows = [generators.index(each.generator) for each in settings]
         self._level = [not isinstance(each, SpreadDetector) for each in settings]
-        self._detectors = [detector(each, time.period_s) for each in settings]
+        of_cusums = [each for each in settings if isinstance(each, CusumDetector)]
+        self._cusums = cusums(of_cusums) if len(of_cusums) == len(settings) else None
+        self._each = Each(settings, time.period_s)
         self._standard = Standard(settings, self._rows)
         self._frozen = np.zeros(len(generators), dtype=np.int64)  # ticks since each could tell
-        self._standing: list[int] = []  # the detectors whose alarm stands
+        self._stands = np.zeros(len(settings), dtype=np.bool_)  # the detectors whose alarm stands
+        self.takes_rows = self._cusums is not None
+        """True if it can take several ticks at once."""
         self.firing: frozenset[int] = NONE
         """The generators of which some detector alarms."""
         self.alarmed: frozenset[int] = NONE
@@ -68,36 +98,58 @@ class DetectorBank:
 
     def update(self, tick: int, mode: int, residuals: Residuals) -> None:
         """Takes the residuals (T,) of a tick; those that are no evidence are not looked at."""
-        standard = self._standard(mode, residuals).tolist()
-        counts = residuals.counted
-        self._frozen = np.where(counts, 0, self._frozen + 1)
-        can_tell = counts.tolist()
-        standing = []
-        for k, (each, row, s) in enumerate(zip(self._detectors, self._rows, standard, strict=True)):
-            if can_tell[row]:
-                each.update(tick, s)
-            if each.alarm and self._frozen[row] <= self._longest:
-                standing.append(k)
-        if standing != self._standing:
-            self._standing = standing
+        self.extend(tick, mode, residuals.in_a_row)
+
+    def extend(self, tick: int, mode: int, residuals: Residuals) -> int:
+        """Take ticks in a row as long as the same alarms stand, or the one at which they change; return how many."""
+        s, counts = self._standard(mode, residuals), residuals.counted
+        frozen = self._frozen_for(counts)
+        counted = counts[:, self._rows]
+        if self._cusums is None:
+            alarm = self._each.ahead(tick, s, counted)
+        else:
+            ahead = self._cusums.ahead(s, counted)
+            alarm = ahead.alarm
+        stands = alarm & (frozen[:, self._rows] <= self._longest)
+        changes = (stands != self._stands).any(axis=1)
+        ticks = max(int(changes.argmax()), 1) if changes.any() else len(changes)
+        if self._cusums is not None:
+            self._cusums.go(tick, ahead, ticks)
+        self._frozen = frozen[ticks - 1]
+        if changes[ticks - 1]:
+            self._stands = stands[ticks - 1]
+            standing = np.flatnonzero(self._stands).tolist()
             self.firing = frozenset(self._rows[k] for k in standing)
             self.alarmed = frozenset(self._rows[k] for k in standing if self._level[k])
+        return ticks
+
+    def _frozen_for(self, counts: Mask) -> Indices:
+        """Return for how many ticks each generator could not tell, at each of the next ticks (n, T)."""
+        number = np.arange(1, 1 + len(counts))[:, None]
+        last = np.maximum.accumulate(np.where(counts, number, 0), axis=0)
+        return np.asarray(np.where(last > 0, number - last, self._frozen + number))
 
     def beside(self, covered: frozenset[int]) -> bool:
         """Return whether a detector alarms that is none of the level of the `covered` generators."""
-        return any(not (self._level[k] and self._rows[k] in covered) for k in self._standing)
+        if not self.firing:
+            return False
+        return any(not (self._level[k] and self._rows[k] in covered) for k in np.flatnonzero(self._stands).tolist())
 
     @property
     def since(self) -> int | None:
         """The tick at which the evidence of what alarms began."""
-        since = [self._detectors[k].since for k in self._standing]
-        return min((tick for tick in since if tick is not None), default=None)
+        since = np.asarray(self._of_all.since)[self._stands]
+        return int(since[since >= 0].min()) if (since >= 0).any() else None
 
     @property
     def sums(self) -> FloatArray:
         """Return for each generator (T,) its largest level detector, in parts of the threshold, signed."""
         sums = np.zeros(self._count)
-        for each, row, level in zip(self._detectors, self._rows, self._level, strict=True):
-            if level and each.value > abs(sums[row]):
-                sums[row] = each.sign * each.value
+        for row, level, value in zip(self._rows, self._level, self._of_all.signed.tolist(), strict=True):
+            if level and abs(value) > abs(sums[row]):
+                sums[row] = value
         return sums
+
+    @property
+    def _of_all(self) -> Cusums | Each:
+        return self._each if self._cusums is None else self._cusums

@@ -6,7 +6,13 @@
 It alarms when the larger sum reaches J and stays so until that sum is back at zero. One side is one of the two sums.
 """
 
-from faultline.service.core.manifest import Side
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from faultline.service.core.manifest import CusumDetector, Side
+from faultline.service.core.signals.values import FloatArray, Indices, Mask
 
 
 class Cusum:
@@ -60,3 +66,82 @@ class Cusum:
         if self.since is None:
             self.since = tick
         self.alarm = self.alarm or largest >= self._J
+
+
+class Ahead(NamedTuple):
+    """What D CUSUMs come to in n ticks: both sums (n, 2, D), and whether each alarms (n, D)."""
+
+    sums: FloatArray
+    alarm: Mask
+
+
+class Cusums:
+    """D residuals' CUSUMs. State as that of `Cusum`: both sums (2, D), whether each alarms, and since when (D,).
+
+    `ahead` looks at ticks in a row and `go` advances by some of them, so that who has to act at the tick of an alarm
+    can stop before it.
+    """
+
+    def __init__(self, settings: Sequence[CusumDetector]) -> None:
+        D = len(settings)
+        self._nu = np.array([each.nu for each in settings])
+        self._J = np.array([each.J for each in settings])
+        self._ceiling = 2 * self._J
+        tested = [[each.side != side for each in settings] for side in ("below", "above")]
+        self._tested = np.array(tested, dtype=np.bool_).reshape(2, D)
+        self._sums = np.zeros((2, D))
+        self._since = np.full(D, -1)  # no tick
+        self.alarm = np.zeros(D, dtype=np.bool_)
+
+    def ahead(self, s: FloatArray, counted: Mask) -> Ahead:
+        """Return what n ticks with the standardised residuals (n, D) come to; a sum is frozen where one is not counted.
+
+        The operations and their order are those of `Cusum`, so that the numbers are.
+        """
+        sums = self._sums_ahead(s, counted)
+        largest = sums.max(axis=1)
+        return Ahead(sums, self._alarms(largest > 0.0, largest >= self._J))
+
+    def _sums_ahead(self, s: FloatArray, counted: Mask) -> FloatArray:
+        known = np.where(counted, s, 0.0)
+        moves = counted[:, None] & self._tested
+        sums = np.empty(moves.shape)
+        before = self._sums
+        for now, signed, moved in zip(sums, np.stack([known, -known], axis=1), moves, strict=True):
+            np.add(before, signed, out=now)
+            now -= self._nu
+            np.minimum(now, self._ceiling, out=now)
+            np.maximum(now, 0.0, out=now)
+            np.copyto(now, before, where=~moved)
+            before = now
+        return sums
+
+    def _alarms(self, stands: Mask, reaches: Mask) -> Mask:
+        """Return where there is an alarm (n, D): from where a sum `reaches` the threshold, as long as one `stands`."""
+        if not self.alarm.any() and not reaches.any():
+            return reaches
+        alarms, alarm = np.empty_like(reaches), self.alarm
+        for k in range(len(alarms)):
+            alarms[k] = alarm = (alarm | reaches[k]) & stands[k]
+        return alarms
+
+    def go(self, tick: int, ahead: Ahead, ticks: int) -> None:
+        """Advance by so many of the ticks, of which the first is `tick`."""
+        stands = np.asarray(ahead.sums[:ticks].max(axis=1) > 0.0)
+        began = np.where(self._since < 0, tick, self._since)
+        if not stands.all():
+            fallen = ticks - 1 - (~stands[::-1]).argmax(axis=0)  # the last tick without a sum
+            began = np.where(stands.all(axis=0), began, tick + fallen + 1)
+        self._since = np.where(stands[-1], began, -1)
+        self._sums, self.alarm = ahead.sums[ticks - 1], ahead.alarm[ticks - 1]
+
+    @property
+    def since(self) -> Indices:
+        """Return since which tick each has had evidence (D,); -1 where it has none."""
+        return self._since
+
+    @property
+    def signed(self) -> FloatArray:
+        """Return the larger sum of each (D,) in parts of its threshold, with the sign of the residual."""
+        above, below = self._sums
+        return np.asarray(np.sign(above - below) * np.maximum(above, below) / self._J)

@@ -37,13 +37,13 @@ class Standard:
         )
 
     def __call__(self, mode: int, residuals: Residuals) -> FloatArray:
-        """The standardised residual (D,) of a tick for each detector; whatever it is where the test cannot tell."""
+        """The standardised residuals (..., D) of ticks for each detector; whatever they are where it cannot tell."""
         if not len(self._rows):
-            return np.zeros(0)
+            return np.zeros((*residuals.r.shape[:-1], 0))
         scale = self._scale[mode]
         if self._adaptive is not None:
-            scale = scale * np.where(self._adaptive, residuals.sigma[self._rows], 1.0) / self._usual[mode]
-        level = (residuals.r if residuals.level is None else residuals.level)[self._rows]
+            scale = scale * np.where(self._adaptive, residuals.sigma[..., self._rows], 1.0) / self._usual[mode]
+        level = (residuals.r if residuals.level is None else residuals.level)[..., self._rows]
         if self._spread is not None:
-            level = np.where(self._spread, residuals.r[self._rows], level)
+            level = np.where(self._spread, residuals.r[..., self._rows], level)
         return np.asarray((level - self._offset[mode]) / scale)

@@ -9,8 +9,8 @@ turn out to be a step, the ticks since are computed again with them. A generator
 its error may be (`core.decision.model_error`).
 """
 
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import onnxruntime as ort
@@ -38,6 +38,8 @@ NO_EXCESS = np.zeros(())
 class Residuals(NamedTuple):
     """One tick of all generators, each (T,): residual, prediction, spread [unit of y], and whether it can tell.
 
+    Or n ticks in a row: then all arrays have the ticks first.
+
     `shift` (H, K) is what each hypothesis does to the residuals of the evidence generators, where a bundle has any.
     `brought` (n,) are the consequences of the evidence that show or did lately. `level` are the residuals without the
     drive's baseline (`core.decision.baseline_level`), once that is taken off. Those are `held` (T,) that rest on
@@ -59,6 +61,32 @@ class Residuals(NamedTuple):
     def counted(self) -> Mask:
         """The residuals (T,) that are evidence: of tests that can tell, from samples that were received."""
         return np.asarray(self.usable & ~self.held)
+
+    @property
+    def in_a_row(self) -> "Residuals":
+        """Return a tick as the only one of a row."""
+        return self._replaced(lambda each: each[None])
+
+    def part(self, begin: int, end: int) -> "Residuals":
+        """Return some of the ticks of a row."""
+        return self._replaced(lambda each: each[begin:end])
+
+    def at(self, k: int) -> "Residuals":
+        """Return one of the ticks of a row."""
+        return self._replaced(lambda each: each[k])
+
+    def _replaced(self, of: Callable[[Any], Any]) -> "Residuals":
+        return Residuals(
+            of(self.r),
+            of(self.y_hat),
+            of(self.sigma),
+            of(self.usable),
+            of(self.shift),
+            of(self.brought),
+            None if self.level is None else of(self.level),
+            of(self.held),
+            of(self.excess) if self.excess.ndim else self.excess,
+        )
 
 
 class Graph:

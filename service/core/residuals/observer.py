@@ -7,6 +7,7 @@ same object.
 
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import dataclass
 from math import ceil
 from typing import NamedTuple, Protocol
 
@@ -17,7 +18,7 @@ from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.signals.holding import Samples
 from faultline.service.core.signals.received import Received
 from faultline.service.core.signals.sampling import Sampler
-from faultline.service.core.signals.values import FloatArray, Mask, Qualities, Quality, are_good
+from faultline.service.core.signals.values import FloatArray, Indices, Mask, Qualities, Quality, are_good
 
 PHASE_S = 0.045
 """How far the ticks stay off the grid of the frame that starts them [s]: 5 ms from frames every 10 ms, 45 from those
@@ -45,6 +46,47 @@ class Tick(NamedTuple):
     def usable(self) -> Mask:
         """Return True for each sample that may be used (nz,)."""
         return are_good(self.quality)
+
+
+@dataclass(frozen=True, slots=True)
+class Ticks:
+    """Ticks in a row: the `first` one's number, and what `Tick` has of each of the n, the ticks first."""
+
+    first: int
+    t_s: FloatArray
+    z: FloatArray
+    quality: Qualities
+    modes: Indices
+    residuals: Residuals
+    ages: FloatArray
+
+    def __len__(self) -> int:
+        """Return how many they are."""
+        return len(self.t_s)
+
+    def __iter__(self) -> Iterator[Tick]:
+        """Yield one after the other."""
+        return map(self.at, range(len(self)))
+
+    def at(self, k: int) -> Tick:
+        """Return one of them."""
+        residuals = self.residuals.at(k)
+        return Tick(
+            self.first + k, float(self.t_s[k]), self.z[k], self.quality[k], int(self.modes[k]), residuals, self.ages[k]
+        )
+
+    def part(self, begin: int, end: int) -> "Ticks":
+        """Return some of them."""
+        row = slice(begin, end)
+        return Ticks(
+            self.first + begin,
+            self.t_s[row],
+            self.z[row],
+            self.quality[row],
+            self.modes[row],
+            self.residuals.part(begin, end),
+            self.ages[row],
+        )
 
 
 class Decoder(Protocol):
@@ -81,7 +123,7 @@ class Observer:
         self._number = 0
         self._due = np.inf  # log time of the next tick
 
-    def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes, bus: str = "") -> list[Tick]:
+    def frame(self, t_s: float, can_id: int, is_extended: bool, data: bytes, bus: str = "") -> list[Ticks]:
         """Take a frame received at log time `t_s` [s] on a bus; return the ticks that lie before it.
 
         A time before an earlier one is taken as that earlier one.
@@ -98,10 +140,11 @@ class Observer:
             self._origin = self._due = t + PHASE_S
         return ticks
 
-    def take(self, received: Received) -> Iterator[Tick]:
+    def take(self, received: Received) -> Iterator[Ticks]:
         """Take a piece of a log; yield the ticks before its last frame, as `frame` does for each of its frames.
 
-        A doubt is the sampler's before the tick at which the frame that raised it would have been taken.
+        A doubt is the sampler's before the tick at which the frame that raised it would have been taken: the first of
+        a row.
         """
         samples = Samples(self._sampler.inputs, received)
         if self._first is None:
@@ -110,10 +153,15 @@ class Observer:
             self._origin = self._due = samples.complete_s + PHASE_S
         doubts = deque(samples.doubts)
         while len(dues := self._dues(received.last_s)):
-            for tick in self._ticks(dues, *samples.at(dues), samples.ages(dues)):
-                while doubts and doubts[0].t <= tick.t_s:
+            for row in self._ticks(dues, *samples.at(dues), samples.ages(dues)):
+                begin = 0
+                while doubts and doubts[0].t <= row.t_s[-1]:
+                    at = int(np.searchsorted(row.t_s, doubts[0].t))
+                    if at > begin:
+                        yield row.part(begin, at)
+                        begin = at
                     self._sampler.note_doubt(*doubts.popleft()[1:])
-                yield tick
+                yield row.part(begin, len(row)) if begin else row
         for doubt in doubts:
             self._sampler.note_doubt(*doubt[1:])
         self._now = received.last_s
@@ -126,7 +174,7 @@ class Observer:
         dues = origin + np.arange(self._number, self._number + BLOCK, dtype=np.float64) * self._period
         return np.asarray(dues[dues < before], dtype=np.float64)
 
-    def advance(self, t_s: float) -> list[Tick]:
+    def advance(self, t_s: float) -> list[Ticks]:
         """Advance to time `t_s` [s]; return every tick up to and at it, frames or no frames."""
         self._now = max(self._now, t_s)
         return self._run(self._now, including=True)
@@ -150,20 +198,22 @@ class Observer:
         """Return the first tick that has seen what came at log time `t_s` [s]."""
         return 0 if self._origin is None else max(0, ceil((t_s - self._origin) / self._period))
 
-    def _run(self, t: float, including: bool) -> list[Tick]:
-        ticks: list[Tick] = []
+    def _run(self, t: float, including: bool) -> list[Ticks]:
+        ticks: list[Ticks] = []
         while self._due < t or (including and self._due == t):
             z, quality = self._sampler.sample(self._due)
             ticks += self._ticks(np.array([self._due]), z[None], quality[None], self._sampler.ages(self._due)[None])
         return ticks
 
-    def _ticks(self, dues: FloatArray, z: FloatArray, quality: Qualities, ages: FloatArray) -> Iterator[Tick]:
+    def _ticks(self, dues: FloatArray, z: FloatArray, quality: Qualities, ages: FloatArray) -> Iterator[Ticks]:
         """The ticks at `dues` (n,) [s], of samples, qualities and ages (n, nz)."""
         if self._origin is None:
             self._origin = float(dues[0])
-        evaluated = self._evaluator.evaluate(z, are_good(quality), ages)
-        for k, (due, (mode, residuals)) in enumerate(zip(dues.tolist(), evaluated, strict=True)):
-            tick = Tick(self._number, due, z[k], quality[k], mode, residuals, ages[k])
-            self._number += 1
+        begin = 0
+        for modes, residuals in self._evaluator.evaluate(z, are_good(quality), ages):
+            row = slice(begin, begin + len(modes))
+            ticks = Ticks(self._number, dues[row], z[row], quality[row], modes, residuals, ages[row])
+            begin = row.stop
+            self._number += len(modes)
             self._due = self._origin + self._number * self._period
-            yield tick
+            yield ticks

@@ -7,9 +7,11 @@ from random import Random
 import numpy as np
 import pytest
 
+from faultline.analysis.compiled.decision import NATIVE
 from faultline.analysis.compiled.evaluator import CompiledEvaluator, kernels_of_bundle
 from faultline.analysis.compiled.kernels import Kernels
 from faultline.service.bundle.load import load_bundle, load_with_log
+from faultline.service.core.decision.parts import PARTS
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.line import encode
 from faultline.service.core.residuals.evaluator import Evaluator, TickByTick
@@ -37,7 +39,8 @@ def kernels(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Kernels]:
 
 def events(path: Path, evaluator: GeneratorBank | Evaluator) -> bytes:
     bundle, log = load_with_log(GOLDEN / "bundle", path, None)
-    monitor = Monitor(MANIFEST, evaluator, bundle.table, log.id, bundle.id)
+    parts = NATIVE if isinstance(evaluator, CompiledEvaluator) else PARTS
+    monitor = Monitor(MANIFEST, evaluator, bundle.table, log.id, bundle.id, parts=parts)
     return b"".join(map(encode, monitor.signals(log.signals(bundle.table))))
 
 
@@ -97,8 +100,11 @@ def test_ticks_of_samples_that_jump_go_missing_and_leave_the_operating_region(se
     ages = np.where(rng.random(shape) < 0.03, 1.0, 0.05)
     reference = TickByTick(BUNDLE.bank(), ModeTracker(MANIFEST.modes, MANIFEST.inputs, MANIFEST.period_s))
     held = counted = 0
-    found = CompiledEvaluator(MANIFEST, kernels).evaluate(z, usable, ages)
-    for (mode, ours), (of_reference, theirs) in zip(found, reference.evaluate(z, usable, ages), strict=True):
+    found, expected = (
+        [(mode, residuals.at(k)) for modes, residuals in each.evaluate(z, usable, ages) for k, mode in enumerate(modes)]
+        for each in (CompiledEvaluator(MANIFEST, kernels), reference)
+    )
+    for (mode, ours), (of_reference, theirs) in zip(found, expected, strict=True):
         assert mode == of_reference
         for flags in ("usable", "held", "brought"):
             np.testing.assert_array_equal(getattr(ours, flags), getattr(theirs, flags), flags)

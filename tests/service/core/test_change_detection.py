@@ -314,7 +314,7 @@ class Driven:
         for _ in range(round(seconds / TIME.period_s)):
             r = np.array([1000.0, 2000.0]) + level + fault * FAULT + NOISE * rng.standard_normal(2)
             seen = Residuals(r, 0.0 * r, r, np.full(2, usable), FAULT[None])
-            self.change.add(self.tick, IDLE, seen, suspected=self.change.alarm)
+            self.change.extend(self.tick, IDLE, seen.in_a_row, suspected=self.change.alarm)
             if self.tick % TICKS == 0:
                 self.change.look()
             self.tick += 1

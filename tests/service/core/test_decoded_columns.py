@@ -210,15 +210,16 @@ def both_alike(case: Case) -> DecodeTable:
     table, sampler, one = observer(case)
     expected: list[str] = []
     for frame in case.frames:
-        expected += [shown(tick, sampler) for tick in one.frame(*frame)]
-    expected += [shown(tick, sampler) for tick in one.advance(one.now + 3.0)]
+        expected += [shown(tick, sampler) for row in one.frame(*frame) for tick in row]
+    expected += [shown(tick, sampler) for row in one.advance(one.now + 3.0) for tick in row]
     other_table, other_sampler, other = observer(case)
     found = [
         shown(tick, other_sampler)
         for piece in CanSignals(other_table, lambda: pieces(case), case.rows).pieces()
-        for tick in other.take(piece)
+        for row in other.take(piece)
+        for tick in row
     ]
-    found += [shown(tick, other_sampler) for tick in other.advance(other.now + 3.0)]
+    found += [shown(tick, other_sampler) for row in other.advance(other.now + 3.0) for tick in row]
     assert found == expected
     assert counts(other_table) == counts(table)
     states = [[repr(getattr(each, name)) for name in STATE] for each in other_sampler.inputs]

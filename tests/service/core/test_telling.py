@@ -23,6 +23,10 @@ class Decided:
     since: int | None = None
     withdrawn: bool = False
 
+    @property
+    def named(self) -> list[Diagnosis]:
+        return self.diagnoses
+
 
 def _diagnosis(*faults: str, rank: int = 1) -> Diagnosis:
     return Diagnosis(faults=list(faults), rank=rank, p=None)

@@ -49,7 +49,7 @@ def peak_bytes(path: Path) -> tuple[int, int]:
     tracemalloc.start()
     log = open_log(path)
     signals = log.signals(bundle.table, LogContext(log.id).passing)
-    ticks = sum(1 for piece in signals.pieces() for _ in observer.take(piece))
+    ticks = sum(len(row) for piece in signals.pieces() for row in observer.take(piece))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     return peak, ticks
