@@ -34,11 +34,11 @@ class Kernels(NamedTuple):
     table: FloatArray
 
 
-def kernels_of(tests: bytes, hypotheses: bytes | None, rows: int) -> Kernels:
+def kernels_of(tests: bytes, hypotheses: bytes | None, rows: int, *, compiles: bool = True) -> Kernels:
     """Return the functions of the tests' graph, and of that of the hypotheses, which has so many rows.
 
     Raises:
-        NotCompiledError: a graph cannot be compiled.
+        NotCompiledError: a graph cannot be compiled; or it never was, and is not to be now.
         OSError: the user's cache cannot be written.
     """
     programs = [program_of(tests, 1), *([] if hypotheses is None else [program_of(hypotheses, rows)])]
@@ -46,21 +46,29 @@ def kernels_of(tests: bytes, hypotheses: bytes | None, rows: int) -> Kernels:
         raise NotCompiledError(f"a graph of {scalars} scalars would take minutes to compile")
     of_tests, *others = programs
     other = others[0] if others else None
-    module = _module(HEAD + tests_text(of_tests) + (hypotheses_text(other, rows) if other else NO_HYPOTHESES))
+    text = HEAD + tests_text(of_tests) + (hypotheses_text(other, rows) if other else NO_HYPOTHESES)
+    if not (compiles or _place(text).exists()):
+        raise NotCompiledError("this was never compiled")
+    module = _module(text)
     numbers = numbers_of(of_tests), numbers_of(other)
     return Kernels(module.tests, module.hypotheses, *numbers, table_of(other, rows))
 
 
-def _module(text: str) -> ModuleType:
-    """The module of this text, with its compiled functions beside it."""
+def _place(text: str) -> Path:
+    """The file of this text."""
     name = "faultline_graphs_" + hashlib.sha256(text.encode()).hexdigest()[:16]
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    path = Path(base) / "faultline" / "compiled" / f"{name}.py"
+    return Path(base) / "faultline" / "compiled" / f"{name}.py"
+
+
+def _module(text: str) -> ModuleType:
+    """The module of this text, with its compiled functions beside it."""
+    path = _place(text)
     if not path.exists():
         write_file(path, text)
-    spec = spec_from_file_location(name, path)
+    spec = spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
-    module = sys.modules[name] = module_from_spec(spec)  # Numba finds what it has kept by the module's name
+    module = sys.modules[path.stem] = module_from_spec(spec)  # Numba finds what it has kept by the module's name
     spec.loader.exec_module(module)
     return module

@@ -31,6 +31,7 @@ from faultline.analysis.tuning.vehicles import (
 )
 from faultline.service.core.decision.decision import Decision
 from faultline.service.core.decision.offsets import shifted
+from faultline.service.core.decision.parts import Parts
 from faultline.service.core.manifest import Claim, Count, Detector, Evidence, Manifest
 from faultline.service.core.residuals.evaluator import Evaluator
 
@@ -147,34 +148,36 @@ def _usual(vehicles: Sequence[Vehicle], rule: Rule, to: Array, evidence: Evidenc
     return rule.no_lower(tune_detectors(rule.generators, seen, rule.floor, rule.stand_ins, rule.kinds, to))
 
 
-def told(manifest: Manifest, drive: Drive, evaluator: Evaluator) -> tuple[int, int]:
+def told(manifest: Manifest, drive: Drive, evaluator: Evaluator, parts: Parts) -> tuple[int, int]:
     """Suspicions and confirmed diagnoses in a drive, its samples evaluated afresh."""
-    decision = Decision(manifest)
+    decision = Decision(manifest, parts)
     suspicions = diagnoses = 0
     suspected = diagnosed = False
     z, usable, ages = (np.array([getattr(tick, name) for tick in drive.ticks]) for name in ("z", "usable", "ages"))
-    modes, done = np.array([tick.mode for tick in drive.ticks]), 0
-    for _, residuals in evaluator.evaluate(z, usable, ages):
-        end, row = done + len(residuals.r), residuals
+    modes, first = np.array([tick.mode for tick in drive.ticks]), 0
+    for _, row in evaluator.evaluate(z, usable, ages):
+        done, end = 0, len(row.r)
         while done < end:
-            row = residuals.part(len(residuals.r) - end + done, len(residuals.r))
-            done += decision.extend(drive.ticks[done].number, modes[done:end], row)
+            rest = modes[first + done : first + end]
+            done += decision.extend(drive.ticks[first + done].number, rest, row.part(done, end))
             suspicions += decision.suspicious and not suspected
             suspected = decision.suspicious
             now = bool(decision.named)
             diagnoses += now and not diagnosed
             diagnosed = now
+        first += end
     return suspicions, diagnoses
 
 
 def count(left_out: Sequence[Fold], manifests: Sequence[Manifest], to: Array, say: Callable[[str], None]) -> Array:
     """Suspicions and diagnoses of every fold (folds, 2)."""
     counts = np.zeros((len(left_out), 2))
+    ticks = sum(len(drive.ticks) for fold in left_out for drive, _ in fold.test)
     for index, (fold, manifest) in enumerate(zip(left_out, manifests, strict=True)):
         for drive, offset in fold.test:
             say(f"{drive.seen.name}, left out")
             moved_there = shifted(manifest, offset - to)
-            counts[index] += told(moved_there, drive, evaluator_of(fold.vehicle.runnable, moved_there))
+            counts[index] += told(moved_there, drive, *evaluator_of(fold.vehicle.runnable, moved_there, ticks))
     return counts
 
 
