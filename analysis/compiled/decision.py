@@ -73,8 +73,8 @@ class NativeChangeDetector(ChangeDetector):
 class NativeLook(Look):
     """The same to within rounding."""
 
-    def _misfits(self, mu: FloatArray) -> FloatArray:
-        return np.asarray(_misfits(np.ascontiguousarray(mu, np.float64), self._white, self._S, self._d))
+    def _weighed(self, mu: FloatArray, rows: FloatArray) -> FloatArray:
+        return np.asarray(_weighed(self._S, mu, rows))
 
     def _nearest_courses(self, number: int) -> FloatArray:
         tried = self._courses(number)
@@ -210,24 +210,31 @@ def _signatures(
 
 
 @njit(cache=True, error_model="numpy")
-def _misfits(mu: FloatArray, white: FloatArray, S: FloatArray, d: FloatArray) -> FloatArray:
-    """The misfits (M,) of sums of whitened shifts (M, n, D)."""
+def _weighed(S: FloatArray, mu: FloatArray, rows: FloatArray) -> FloatArray:
+    """Each row (M, D) by the inverse of S with the error of the predictions mu (M, n, D)."""
     M, n, D = mu.shape
-    found = np.zeros(M)
+    found = rows.copy()
     for m in range(M):
-        shifts = mu[m] @ white.T
-        weighed, left = S.copy(), d.copy()
+        weighed = S.copy()
         for i in range(n):
             for k in range(D):
-                weighed[k, k] += (GAMMA * shifts[i, k]) ** 2
-                left[k] -= shifts[i, k]
-        factor = _cholesky(weighed)
-        for k in range(D):
-            for j in range(k):
-                left[k] -= factor[k, j] * left[j]
-            left[k] /= factor[k, k]
-            found[m] += left[k] ** 2
+                weighed[k, k] += (GAMMA * mu[m, i, k]) ** 2
+        _solve(_cholesky(weighed), found[m])
     return found
+
+
+@njit(cache=True, error_model="numpy")
+def _solve(factor: FloatArray, row: FloatArray) -> None:
+    """Replace a vector by that times the inverse of the matrix that has this Cholesky factor."""
+    D = len(row)
+    for k in range(D):
+        for j in range(k):
+            row[k] -= factor[k, j] * row[j]
+        row[k] /= factor[k, k]
+    for k in range(D - 1, -1, -1):
+        for j in range(k + 1, D):
+            row[k] -= factor[j, k] * row[j]
+        row[k] /= factor[k, k]
 
 
 @njit(cache=True, error_model="numpy")

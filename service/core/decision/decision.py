@@ -145,13 +145,11 @@ class Decision:
         mode = int(modes[0])
         most = min(self._room(first, mode), len(modes))
         residuals = self._model_error.beside(mode, residuals.part(0, most))
-        ticks = self._alike(modes[:most], residuals.usable)
-        if ticks < most:
-            residuals = residuals.part(0, ticks)
+        if most > 1:
+            residuals = residuals.part(0, self._alike(modes[:most], residuals.usable))
         level = self._change.without_baseline(mode, residuals)
         ticks = self._detectors.extend(first, mode, residuals._replace(level=level))
-        if ticks < len(level):
-            residuals = residuals.part(0, ticks)
+        residuals = residuals.part(0, ticks)
         self._mode, self._usable, self.level = mode, residuals.usable[-1], level[ticks - 1]
         suspected = self._latest is not None and self._doubted is None
         self._change.extend(first, mode, residuals, suspected=suspected)
@@ -167,9 +165,8 @@ class Decision:
             if not self.suspicious:  # it waits for the episode's end
                 return 1
             dues = [self._first + self._settle_ticks, self._first + self._alone]
-            room = min(
-                room - 1, -tick % self._ranking, -tick % self._block, *(due - tick for due in dues if due >= tick)
-            )
+            until = [-tick % self._ranking, -tick % self._block, *(due - tick for due in dues if due >= tick)]
+            room = min(room if self._change.is_held else room - 1, *until)
         return int(max(1, min(room, self._longest)))
 
     def _alike(self, modes: Indices, usable: Mask) -> int:

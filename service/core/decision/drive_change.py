@@ -118,8 +118,11 @@ class DriveChange:
         The last seconds show a large one. A small one lasts as long as its ratio does not fall.
         """
         if self._held:
-            seen = self._hypotheses.look(self._recent.means, self._baseline.level)
-            self.alarm = self._lasts or (seen is not None and seen.gain > 2.0 * SAME)
+            self.alarm = self._lasts or self._shows()
+
+    def _shows(self) -> bool:
+        seen = self._hypotheses.look(self._recent.means, self._baseline.level)
+        return seen is not None and seen.gain > 2.0 * SAME
 
     def suspect(self, tick: int) -> None:
         """Keep the baseline as it was before this tick: something is suspected from then on."""

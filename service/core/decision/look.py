@@ -143,10 +143,25 @@ class Look:
         self._white = np.linalg.cholesky(S).astype(np.float64, copy=False)
         self._whitener = np.linalg.inv(self._white)
         self._target = self._whitener @ d
-        white = self._whitened(shifts)
-        self._begin = white[segments.begin]
-        self._way = white[segments.end] - self._begin
-        self._length = np.maximum((self._way**2).sum(axis=1), 1e-300)
+
+    @cached_property
+    def _white_shifts(self) -> FloatArray:
+        return self._whitened(self._shifts)
+
+    @cached_property
+    def _begin(self) -> FloatArray:
+        """The shifts at which segments begin (segments, D), whitened."""
+        return np.asarray(self._white_shifts[self.segments.begin])
+
+    @cached_property
+    def _way(self) -> FloatArray:
+        """From there to where they end."""
+        return np.asarray(self._white_shifts[self.segments.end] - self._begin)
+
+    @cached_property
+    def _length(self) -> FloatArray:
+        """The squared lengths of the ways."""
+        return np.asarray(np.maximum((self._way**2).sum(axis=1), 1e-300))
 
     @cached_property
     def sigmas(self) -> FloatArray:
@@ -238,17 +253,21 @@ class Look:
     def _grown(self) -> dict[str, tuple[float, int]]:
         """The misfit of the faults that fit better if they have grown, with its cost, and the chain that does."""
         found: dict[str, tuple[float, int]] = {}
-        if self._history is None or not self.segments.faults:
+        if self._history is None:
             return found
-        chains = range(int(self.segments.chain.max(initial=-1)) + 1)
+        of = dict(zip(self.segments.chain.tolist(), self.segments.faults, strict=True))
+        chains = [
+            number for number, fault in of.items() if self.faults[fault] > GROWN
+        ]  # else nothing fits so much better
+        if not chains:
+            return found
         nearest = np.concatenate([self._nearest_courses(number) for number in chains])
         misfits = self._misfits(self._whitened(nearest)[:, None]).reshape(len(chains), -1).min(axis=1) + GROWN
         for number, misfit in zip(chains, misfits.tolist(), strict=True):
             if self.has_free_shifts:
                 misfit += self._price(1, self.nothing - misfit)
-            fault = self.segments.faults[int(np.flatnonzero(self.segments.chain == number)[0])]
-            if misfit < found.get(fault, (self.faults[fault], 0))[0]:
-                found[fault] = misfit, number
+            if misfit < found.get(of[number], (self.faults[of[number]], 0))[0]:
+                found[of[number]] = misfit, number
         return found
 
     def _nearest_courses(self, number: int) -> FloatArray:
@@ -370,23 +389,22 @@ class Look:
     def _reweighted(self, parts: FloatArray) -> FloatArray:
         """The parts (segments,) that fit best by the covariance that the predictions at `parts` have."""
         begin, way = self._begin @ self._white.T, self._way @ self._white.T
-        weighed = np.linalg.solve(self._with_gamma((begin + parts[:, None] * way)[:, None]), way[..., None])[..., 0]
+        weighed = self._weighed((begin + parts[:, None] * way)[:, None], way)
         length = np.maximum((way * weighed).sum(axis=1), 1e-300)
         return np.asarray(np.clip(((self._d - begin) * weighed).sum(axis=1) / length, 0.0, 1.0))
 
-    def _with_gamma(self, mu: FloatArray) -> FloatArray:
-        """S (M, D, D) with the error of the predictions mu (M, shifts, D)."""
+    def _weighed(self, mu: FloatArray, rows: FloatArray) -> FloatArray:
+        """Each row (M, D) by the inverse of S with the error of the predictions mu (M, shifts, D)."""
         S = np.broadcast_to(self._S, (len(mu), *self._S.shape)).copy()
         diagonal = np.arange(len(self._d))
         S[:, diagonal, diagonal] += ((GAMMA * mu) ** 2).sum(axis=1)
-        return S
+        return np.asarray(np.linalg.solve(S, rows[..., None])[..., 0])
 
     def _misfits(self, mu: FloatArray) -> FloatArray:
         """The misfits (M,) of sums of shifts, whitened: mu (M, shifts, D)."""
         mu = mu @ self._white.T
         left = self._d - mu.sum(axis=1)
-        weighed = np.linalg.solve(self._with_gamma(mu), left[..., None])[..., 0]
-        return np.asarray((left * weighed).sum(axis=1))
+        return np.asarray((left * self._weighed(mu, left)).sum(axis=1))
 
     def _sizes_of_two(self) -> tuple[FloatArray, FloatArray]:
         """Parts (segments, segments, 2) of two segments whose sum comes nearest, and how far that is, squared.

@@ -103,14 +103,14 @@ class DetectorBank:
     def extend(self, tick: int, mode: int, residuals: Residuals) -> int:
         """Take ticks in a row as long as the same alarms stand, or the one at which they change; return how many."""
         s, counts = self._standard(mode, residuals), residuals.counted
-        frozen = self._frozen_for(counts)
         counted = counts[:, self._rows]
         if self._cusums is None:
             alarm = self._each.ahead(tick, s, counted)
         else:
             ahead = self._cusums.ahead(s, counted)
             alarm = ahead.alarm
-        stands = alarm & (frozen[:, self._rows] <= self._longest)
+        frozen = self._frozen_for(counts)
+        stands = alarm & (frozen[:, self._rows] <= self._longest) if alarm.any() else alarm
         changes = (stands != self._stands).any(axis=1)
         ticks = max(int(changes.argmax()), 1) if changes.any() else len(changes)
         if self._cusums is not None:
@@ -125,6 +125,8 @@ class DetectorBank:
 
     def _frozen_for(self, counts: Mask) -> Indices:
         """Return for how many ticks each generator could not tell, at each of the next ticks (n, T)."""
+        if counts.all():
+            return np.zeros(counts.shape, dtype=np.int64)
         number = np.arange(1, 1 + len(counts))[:, None]
         last = np.maximum.accumulate(np.where(counts, number, 0), axis=0)
         return np.asarray(np.where(last > 0, number - last, self._frozen + number))

@@ -69,9 +69,10 @@ class Cusum:
 
 
 class Ahead(NamedTuple):
-    """What D CUSUMs come to in n ticks: both sums (n, 2, D), and whether each alarms (n, D)."""
+    """What D CUSUMs come to in n ticks: both sums (n, 2, D), where one is not zero, and where one alarms (n, D)."""
 
     sums: FloatArray
+    stands: Mask
     alarm: Mask
 
 
@@ -99,20 +100,23 @@ class Cusums:
         The operations and their order are those of `Cusum`, so that the numbers are.
         """
         sums = self._sums_ahead(s, counted)
-        largest = sums.max(axis=1)
-        return Ahead(sums, self._alarms(largest > 0.0, largest >= self._J))
+        largest = np.maximum(sums[:, 0], sums[:, 1])
+        stands = largest > 0.0
+        return Ahead(sums, stands, self._alarms(stands, largest >= self._J))
 
     def _sums_ahead(self, s: FloatArray, counted: Mask) -> FloatArray:
-        known = np.where(counted, s, 0.0)
-        moves = counted[:, None] & self._tested
-        sums = np.empty(moves.shape)
-        before = self._sums
-        for now, signed, moved in zip(sums, np.stack([known, -known], axis=1), moves, strict=True):
-            np.add(before, signed, out=now)
+        stays = ~(counted[:, None] & self._tested)
+        sums = np.empty(stays.shape)
+        sums[:, 0] = np.where(counted, s, 0.0)
+        np.negative(sums[:, 0], out=sums[:, 1])
+        some_stay, before = stays.any(), self._sums
+        for now, stay in zip(sums, stays, strict=True):
+            now += before
             now -= self._nu
             np.minimum(now, self._ceiling, out=now)
             np.maximum(now, 0.0, out=now)
-            np.copyto(now, before, where=~moved)
+            if some_stay:
+                np.copyto(now, before, where=stay)
             before = now
         return sums
 
@@ -127,9 +131,9 @@ class Cusums:
 
     def go(self, tick: int, ahead: Ahead, ticks: int) -> None:
         """Advance by so many of the ticks, of which the first is `tick`."""
-        stands = np.asarray(ahead.sums[:ticks].max(axis=1) > 0.0)
+        stands = ahead.stands[:ticks]
         began = np.where(self._since < 0, tick, self._since)
-        if not stands.all():
+        if ticks > 1 and not stands.all():
             fallen = ticks - 1 - (~stands[::-1]).argmax(axis=0)  # the last tick without a sum
             began = np.where(stands.all(axis=0), began, tick + fallen + 1)
         self._since = np.where(stands[-1], began, -1)
