@@ -1,6 +1,5 @@
 """Parts of the decision as native code: the same operations on the same arrays, without a temporary array for each."""
 
-from collections.abc import Iterable
 from functools import cached_property
 
 import numpy as np
@@ -58,11 +57,10 @@ class NativeChangeDetector(ChangeDetector):
         begin, end = self._segments.begin, self._segments.end
         _signatures(shift, decay, observe, gain, whiten, white, begin, end, effect, A, c, along, free)
 
-    def _of_faults(self) -> Iterable[FloatArray]:
-        segments, T = self._segments, len(self._A[0])
-        table = np.empty((len(self.faults), 1, T))
-        _ratios(self._A[0], self._c[0], self._along[0], segments.begin, segments.end, self._fault, table[:, 0])
-        return table
+    def _of_faults(self) -> FloatArray:
+        begin, end, faults = self._segments.begin, self._segments.end, len(self.faults)
+        _, A, c, along, free = (each[0] for each in self._sums)
+        return np.asarray(_ratios(A, c, along, free, begin, end, self._fault, faults)[None])
 
     @cached_property
     def _fault(self) -> Indices:
@@ -164,17 +162,51 @@ def _inverse(factor: FloatArray) -> FloatArray:
 
 @njit(cache=True, error_model="numpy")
 def _ratios(
-    A: FloatArray, c: FloatArray, along: FloatArray, begin: Indices, end: Indices, fault: Indices, table: FloatArray
-) -> None:
-    """Fill in the largest ratio of each fault's segments for each onset (F, T)."""
-    table[:] = -np.inf
+    A: FloatArray,
+    c: FloatArray,
+    along: FloatArray,
+    free: FloatArray,
+    begin: Indices,
+    end: Indices,
+    fault: Indices,
+    faults: int,
+) -> FloatArray:
+    """Return the largest ratio of each fault's segments for each onset, and that of the undeclared one (T, F + 1)."""
+    K = free.shape[1]
+    table = np.full((len(A), faults + 1), -np.inf)
     for t in range(len(A)):
+        Q = max(_quadratic(free[t], c[t, -K:]), float(K))
+        table[t, faults] = (Q - K * (1.0 + np.log(Q / K))) / 2.0
         for n in range(len(begin)):
             A0, A1, c0, c1, X = A[t, begin[n]], A[t, end[n]], c[t, begin[n]], c[t, end[n]], along[t, n]
             part = (c1 - c0 - X + A0) / max(A0 - 2.0 * X + A1, 1e-300)
             part = min(max(part, 0.0), 1.0)
             square = (1.0 - part) ** 2 * A0 + 2.0 * part * (1.0 - part) * X + part**2 * A1
-            table[fault[n], t] = max(table[fault[n], t], c0 + part * (c1 - c0) - square / 2.0)
+            table[t, fault[n]] = max(table[t, fault[n]], c0 + part * (c1 - c0) - square / 2.0)
+    return table
+
+
+@njit(cache=True, error_model="numpy")
+def _quadratic(A: FloatArray, c: FloatArray) -> float:
+    """Return c' A^-1 c, without what A has nothing of."""
+    K, total = len(c), 0.0
+    factor, row, least = np.zeros((K, K)), np.zeros(K), 1e-15 * np.diag(A).max()
+    for j in range(K):
+        pivot = A[j, j]
+        for k in range(j):
+            pivot -= factor[j, k] ** 2
+        if pivot <= least:
+            continue
+        pivot, row[j] = np.sqrt(pivot), c[j]
+        for k in range(j):
+            row[j] -= factor[j, k] * row[k]
+        row[j] /= pivot
+        total += row[j] ** 2
+        for i in range(j, K):
+            factor[i, j] = A[i, j] / pivot
+            for k in range(j):
+                factor[i, j] -= factor[i, k] * factor[j, k] / pivot
+    return total
 
 
 @njit(cache=True, error_model="numpy")
@@ -194,15 +226,20 @@ def _signatures(
     free: FloatArray,
 ) -> None:
     """Add a block, whose means each row shifts (R, K), to the tables (T, R, ...) of all onsets."""
+    T, R, S = effect.shape
     K = len(white)
-    for t in range(len(effect)):
-        effect[t] *= decay
-        moved = shift - effect[t] @ observe.T
-        effect[t] += moved @ gain.T
-        g = moved @ whiten.T
+    rows = effect.reshape(-1, S)
+    rows *= decay
+    moved = -(rows @ observe.T)
+    for t in range(T):
+        moved[t * R : (t + 1) * R] += shift
+    rows += moved @ gain.T
+    each = (moved @ whiten.T).reshape(T, R, K)
+    for t in range(T):
+        g = each[t]
         c[t] += g @ white
         for k in range(K):
-            for r in range(len(g)):
+            for r in range(R):
                 A[t, r] += g[r, k] * g[r, k]
             for n in range(len(begin)):
                 along[t, n] += g[begin[n], k] * g[end[n], k]

@@ -14,7 +14,6 @@ Onsets are every block's beginning, thinned so that they lie the closer the youn
 one whose neighbours lie closest together, in parts of its age. The first, the start of the drive, is never left out.
 """
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -108,17 +107,16 @@ class ChangeDetector:
 
     def _likeliest(self) -> Change:
         B, T = self.onset_s.shape
-        table = np.stack([*self._of_faults(), self._undeclared()], axis=-1)
-        self._table = table - (self._odd.explained[:, None] - self._explained)[..., None]
+        self._table = self._of_faults() - (self._odd.explained[:, None] - self._explained)[..., None]
         table = self._table.reshape(B, -1)
         best = table.argmax(axis=1)
         onset, fault = np.divmod(best, table.shape[1] // T)
         return Change(np.take_along_axis(table, best[:, None], 1)[:, 0], fault, onset)
 
-    def _of_faults(self) -> Iterable[FloatArray]:
-        """The ratios (B, T) of each declared fault."""
+    def _of_faults(self) -> FloatArray:
+        """The ratios (B, T, F + 1) of each declared fault, and of the undeclared one."""
         ratios = self.ratios
-        return [ratios[..., own].max(axis=-1) for own in self._own]
+        return np.stack([*(ratios[..., own].max(axis=-1) for own in self._own), self._undeclared()], axis=-1)
 
     def _undeclared(self) -> FloatArray:
         """The ratios (B, T) of a shift by any constant."""
