@@ -4,6 +4,7 @@ Live, in replay and offline the same frames at the same times give the same even
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -136,13 +137,13 @@ class Monitor:
         """Decide the first of these ticks, as many as the decision takes at once; add their events, return how many."""
         for signal, since in self._sampler.new_doubts().items():
             self._decision.withdraw(self._observer.tick_at(since), signal)
-        residuals = ticks.residuals
         if self.relearning is not None:
-            self.relearning.add(int(ticks.modes[0]), residuals.at(0))
-            residuals = residuals._replace(usable=np.zeros_like(residuals.usable))  # silence now heals no fault
-        count = self._decision.extend(ticks.first, ticks.modes, residuals)
+            self.relearning.add(int(ticks.modes[0]), ticks.residuals.at(0))
+            mute = np.zeros_like(ticks.residuals.usable)  # for who watches too: silence now heals no fault
+            ticks = replace(ticks, residuals=ticks.residuals._replace(usable=mute))
+        count = self._decision.extend(ticks.first, ticks.modes, ticks.residuals)
         self._quality = ticks.quality[count - 1]
         events += self._teller.update(ticks.first + count - 1, self._decision)
-        if self.watch is not None:  # it sees too that no test can tell
-            self.watch(ticks.at(0)._replace(residuals=residuals.at(0)), self._decision)
+        if self.watch is not None:
+            self.watch(ticks.at(0), self._decision)
         return count

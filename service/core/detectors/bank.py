@@ -109,24 +109,27 @@ class DetectorBank:
         else:
             ahead = self._cusums.ahead(s, counted)
             alarm = ahead.alarm
-        frozen = self._frozen_for(counts)
-        stands = alarm & (frozen[:, self._rows] <= self._longest) if alarm.any() else alarm
-        changes = (stands != self._stands).any(axis=1)
-        ticks = max(int(changes.argmax()), 1) if changes.any() else len(changes)
+        frozen = np.zeros_like(counts, dtype=np.int64) if counts.all() else self._frozen_for(counts)
+        ticks = self._standing(alarm, frozen) if self.firing or alarm.any() else len(counts)
         if self._cusums is not None:
             self._cusums.go(tick, ahead, ticks)
         self._frozen = frozen[ticks - 1]
-        if changes[ticks - 1]:
-            self._stands = stands[ticks - 1]
-            standing = np.flatnonzero(self._stands).tolist()
-            self.firing = frozenset(self._rows[k] for k in standing)
-            self.alarmed = frozenset(self._rows[k] for k in standing if self._level[k])
         return ticks
+
+    def _standing(self, alarm: Mask, frozen: Indices) -> int:
+        """Take the ticks (n,) in which the same alarms stand as before, or the first; return how many."""
+        stands = alarm & (frozen[:, self._rows] <= self._longest)
+        changes = (stands != self._stands).any(axis=1)
+        if not changes[0]:
+            return int(changes.argmax()) if changes.any() else len(changes)
+        self._stands = stands[0]
+        standing = np.flatnonzero(self._stands).tolist()
+        self.firing = frozenset(self._rows[k] for k in standing)
+        self.alarmed = frozenset(self._rows[k] for k in standing if self._level[k])
+        return 1
 
     def _frozen_for(self, counts: Mask) -> Indices:
         """Return for how many ticks each generator could not tell, at each of the next ticks (n, T)."""
-        if counts.all():
-            return np.zeros(counts.shape, dtype=np.int64)
         number = np.arange(1, 1 + len(counts))[:, None]
         last = np.maximum.accumulate(np.where(counts, number, 0), axis=0)
         return np.asarray(np.where(last > 0, number - last, self._frozen + number))

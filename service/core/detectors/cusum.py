@@ -90,9 +90,10 @@ class Cusums:
         self._ceiling = 2 * self._J
         tested = [[each.side != side for each in settings] for side in ("below", "above")]
         self._tested = np.array(tested, dtype=np.bool_).reshape(2, D)
+        self._all_tested = bool(self._tested.all())
         self._sums = np.zeros((2, D))
         self._since = np.full(D, -1)  # no tick
-        self.alarm = np.zeros(D, dtype=np.bool_)
+        self.alarm, self._some_alarm = np.zeros(D, dtype=np.bool_), False
 
     def ahead(self, s: FloatArray, counted: Mask) -> Ahead:
         """Return what n ticks with the standardised residuals (n, D) come to; a sum is frozen where one is not counted.
@@ -105,24 +106,25 @@ class Cusums:
         return Ahead(sums, stands, self._alarms(stands, largest >= self._J))
 
     def _sums_ahead(self, s: FloatArray, counted: Mask) -> FloatArray:
-        stays = ~(counted[:, None] & self._tested)
-        sums = np.empty(stays.shape)
-        sums[:, 0] = np.where(counted, s, 0.0)
+        all_move = self._all_tested and counted.all()
+        stays = None if all_move else ~(counted[:, None] & self._tested)
+        sums = np.empty((len(s), *self._sums.shape))
+        sums[:, 0] = s if all_move else np.where(counted, s, 0.0)
         np.negative(sums[:, 0], out=sums[:, 1])
-        some_stay, before = stays.any(), self._sums
-        for now, stay in zip(sums, stays, strict=True):
+        before = self._sums
+        for k, now in enumerate(sums):
             now += before
             now -= self._nu
             np.minimum(now, self._ceiling, out=now)
             np.maximum(now, 0.0, out=now)
-            if some_stay:
-                np.copyto(now, before, where=stay)
+            if stays is not None:
+                np.copyto(now, before, where=stays[k])
             before = now
         return sums
 
     def _alarms(self, stands: Mask, reaches: Mask) -> Mask:
         """Return where there is an alarm (n, D): from where a sum `reaches` the threshold, as long as one `stands`."""
-        if not self.alarm.any() and not reaches.any():
+        if not self._some_alarm and not reaches.any():
             return reaches
         alarms, alarm = np.empty_like(reaches), self.alarm
         for k in range(len(alarms)):
@@ -138,6 +140,7 @@ class Cusums:
             began = np.where(stands.all(axis=0), began, tick + fallen + 1)
         self._since = np.where(stands[-1], began, -1)
         self._sums, self.alarm = ahead.sums[ticks - 1], ahead.alarm[ticks - 1]
+        self._some_alarm = bool(self.alarm.any())
 
     @property
     def since(self) -> Indices:
