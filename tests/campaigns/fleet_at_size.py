@@ -17,7 +17,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -44,8 +44,8 @@ DRIVES = (2, 3, 4, 5)
 JUDGED = {6: None, 7: "fA_t", 8: "fy_p_du"}
 """Further drives of each build, for `evaluate`."""
 FAULTY = 0.2
-KILLED_IN, KILLED_AFTER_S = 3, 15.0
-"""The shard in which a worker is killed, so long after the beginning."""
+KILLED_IN = 3
+"""The shard in which a worker is killed, once some of its drives are done."""
 AGAIN = 1
 """The shard that is diagnosed with one process as well, and of which some vehicles are by themselves."""
 ALONE = 5
@@ -65,13 +65,13 @@ class Spent(NamedTuple):
     code: int
 
 
-def command(*words: str, kill_after_s: float | None = None) -> Spent:
-    """Run `faultline` with these words to its end; kill one of its workers after so long [s]."""
+def command(*words: str, kill_once: Callable[[], bool] | None = None) -> Spent:
+    """Run `faultline` with these words to its end; kill one of its workers once this is so."""
     began = time.monotonic()
     with subprocess.Popen([sys.executable, "-c", RUN, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as it:
         assert it.stderr is not None
-        if kill_after_s is not None:
-            threading.Timer(kill_after_s, _kill_worker, [it.pid]).start()
+        if kill_once is not None:
+            threading.Thread(target=_kill_worker, args=(it.pid, kill_once), daemon=True).start()
         said = it.stderr.read().decode()
         _, status, used = os.wait4(it.pid, 0)
         it.returncode = os.waitstatus_to_exitcode(status)
@@ -154,8 +154,12 @@ def shard(k: int, work: Path, processes: int) -> Record:
             link.symlink_to(f"vehicle=truck-{BUILDS[number % len(BUILDS)]}")
     bundle, out = str(work / "made" / "vehicle={vehicle}" / "bundle"), work / "fleet"
     words = ["fleet", "diagnose", str(folder / "logs"), "--bundle", bundle]
-    kill_after_s = KILLED_AFTER_S if k == KILLED_IN else None
-    spent = command(*words, "--out", str(out), "--processes", str(processes), kill_after_s=kill_after_s)
+
+    def some_are_done() -> bool:
+        return any((out / tables.DRIVES / f"vehicle={name}").exists() for name in truth)
+
+    kill_once = some_are_done if k == KILLED_IN else None
+    spent = command(*words, "--out", str(out), "--processes", str(processes), kill_once=kill_once)
     rows = [row for row in tables.drives(out) if row["vehicle"] in truth]
     found = {row["vehicle"]: _outcome(row) for row in rows}
     outcome = {
@@ -175,8 +179,10 @@ def shard(k: int, work: Path, processes: int) -> Record:
     return outcome
 
 
-def _kill_worker(parent: int) -> None:
-    """Kill one of the processes that a command has started to work for it."""
+def _kill_worker(parent: int, once: Callable[[], bool]) -> None:
+    """Kill one of the processes that a command has started to work for it, once this is so."""
+    while not once():
+        time.sleep(0.02)
     started = [pid for each in Path(f"/proc/{parent}/task").glob("*/children") for pid in each.read_text().split()]
     workers = [int(pid) for pid in started if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text()]
     os.kill(workers[0], signal.SIGKILL)
