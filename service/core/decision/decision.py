@@ -126,7 +126,8 @@ class Decision:
         self._doubts = 0  # looks in a row at which nothing is wrong after all
         self._doubted: frozenset[int] | None = None  # generators that alarm though nothing is wrong, once that is seen
         self._undeclared = False  # whether the evidence said last that the fault may be none of the declared ones
-        self._explanations = self._seen = Explanations()  # those that stand, and what the last look said
+        self._explanations = Explanations()
+        self._seen: list[Diagnosis] = []  # what the last look said
         self.confirmed = self.withdrawn = False
         self.level = np.zeros(len(self._tests))  # residuals without the baseline, as detectors see them
         self._mode, self._usable = EDGE, np.zeros(len(self._tests), dtype=np.bool_)  # of the last tick
@@ -387,15 +388,17 @@ class Decision:
 
     @property
     def named(self) -> list[Diagnosis]:
-        """Return the diagnoses without their sizes."""
+        """Return the diagnoses; their sizes may be missing."""
         return self._explanations.named
 
     def _explain(self) -> None:
         """What a look says stands once the next one says the same: near a limit they alternate."""
         seen = self._explained()
-        if candidates(seen.named) == candidates(self._seen.named) or not self.named:
+        if candidates(seen.named) == candidates(self._seen) or not self.named:
             self._explanations, self._ranked = seen, self._by_evidence
-        self._seen = seen
+        else:
+            self._explanations.compute_sizes()
+        self._seen = seen.named
 
     def _explained(self) -> Explanations:
         alarmed = self._alarmed & self._trusted

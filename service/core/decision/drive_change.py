@@ -15,7 +15,7 @@ from faultline.service.core.decision.baseline_level import BaselineLevel
 from faultline.service.core.decision.blocks import BLOCK, BlockMeans
 from faultline.service.core.decision.change_detector import ChangeDetector
 from faultline.service.core.decision.hypotheses import Hypotheses
-from faultline.service.core.decision.straying import Level
+from faultline.service.core.decision.straying import Level, Means
 from faultline.service.core.decision.window import Recent
 from faultline.service.core.detectors.bank import FROZEN
 from faultline.service.core.manifest import Evidence
@@ -118,10 +118,11 @@ class DriveChange:
         The last seconds show a large one. A small one lasts as long as its ratio does not fall.
         """
         if self._held:
-            self.alarm = self._lasts or self._shows()
+            recent = self._recent.means  # ticks that wait are added up, whether their sum is needed or not
+            self.alarm = self._lasts or self._shows(recent)
 
-    def _shows(self) -> bool:
-        seen = self._hypotheses.look(self._recent.means, self._baseline.level)
+    def _shows(self, recent: Means) -> bool:
+        seen = self._hypotheses.look(recent, self._baseline.level)
         return seen is not None and seen.gain > 2.0 * SAME
 
     def suspect(self, tick: int) -> None:

@@ -9,7 +9,7 @@ A bundle of a single test tells no faults apart: what it shows is one of those t
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property, partial
+from functools import partial
 from math import e, log
 
 import numpy as np
@@ -51,16 +51,23 @@ class Explanations:
 
     @property
     def named(self) -> list[Diagnosis]:
-        """Return them without sizes."""
+        """Return them, with sizes or not."""
         return [each for _, each in self._found]
 
-    @cached_property
+    @property
     def diagnoses(self) -> list[Diagnosis]:
         """Return them with sizes."""
+        self.compute_sizes()
+        return self.named
+
+    def compute_sizes(self) -> None:
+        """Compute the sizes, if they have not been; the look that they are of is held until then."""
         if self._size_of is None:
-            return self.named
-        return [
-            replace(each, sizes=self._size_of(faults[0])) if len(faults) == 1 else each for faults, each in self._found
+            return
+        size_of, self._size_of = self._size_of, None
+        self._found = [
+            (faults, replace(each, sizes=size_of(faults[0])) if len(faults) == 1 else each)
+            for faults, each in self._found
         ]
 
 

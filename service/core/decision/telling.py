@@ -20,7 +20,7 @@ class Decided(Protocol):
 
     @property
     def named(self) -> list[Diagnosis]:
-        """Return the same without sizes, which take their time."""
+        """Return the same; sizes, which take their time, may be missing."""
 
     @property
     def alarm(self) -> list[str]:
