@@ -64,7 +64,7 @@ class NativeChangeDetector(ChangeDetector):
 
     @cached_property
     def _fault(self) -> Indices:
-        """Of each segment its fault's number."""
+        """Return the number of each segment's fault."""
         return np.array([self.faults.index(name) for name in self._segments.faults], dtype=np.intp)
 
 
@@ -298,7 +298,7 @@ def _courses(shift: FloatArray, rows: Indices, course: FloatArray, ticks: FloatA
 
 @njit(cache=True, error_model="numpy")
 def _distances(tried: FloatArray, d: FloatArray, variance: FloatArray) -> FloatArray:
-    """How far the shifts (M, D) are from what is seen, each mean by itself."""
+    """Return how far the shifts (M, D) are from what is seen, each mean by itself: in variances, squared."""
     found = np.zeros(len(tried))
     for m in range(len(tried)):
         for k in range(len(d)):

@@ -36,7 +36,7 @@ _BINARY = {"add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "div": "{} / {}
 _UNARY = {"neg": "-{}", "abs": "abs({})", "sqrt": "sqrt({})", "exp": "exp({})", "log": "log({})", "tanh": "tanh({})"}
 _TEXT = {**_BINARY, **_UNARY}
 Place = Callable[[str, int], str]
-"""How an element of an array is written, by its name and column."""
+"""Function from an array's name and a column to the text of that element."""
 
 
 def tests_text(program: Program) -> str:

@@ -146,7 +146,7 @@ class ChangeDetector:
 
     @property
     def _sums(self) -> tuple[FloatArray, ...]:
-        """What is added up since each onset."""
+        """Return the tables that are added up since each onset."""
         return self._effect, self._A, self._c, self._along, self._free
 
 

@@ -155,7 +155,7 @@ class Look:
 
     @cached_property
     def _way(self) -> FloatArray:
-        """From there to where they end."""
+        """Return the vectors (segments, D) from where segments begin to where they end, whitened."""
         return np.asarray(self._white_shifts[self.segments.end] - self._begin)
 
     @cached_property
@@ -256,9 +256,8 @@ class Look:
         if self._history is None:
             return found
         of = dict(zip(self.segments.chain.tolist(), self.segments.faults, strict=True))
-        chains = [
-            number for number, fault in of.items() if self.faults[fault] > GROWN
-        ]  # else nothing fits so much better
+        # of a fault that fits by GROWN or less no course fits so much better
+        chains = [number for number, fault in of.items() if self.faults[fault] > GROWN]
         if not chains:
             return found
         nearest = np.concatenate([self._nearest_courses(number) for number in chains])

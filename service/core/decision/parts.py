@@ -16,4 +16,4 @@ class Parts(NamedTuple):
 
 
 PARTS = Parts()
-"""As on the vehicle."""
+"""The parts that run on the vehicle."""
