@@ -30,8 +30,11 @@ PREFIX = Path("/opt/faultline")
 PACKAGES = ("src", "service", "analysis", "training", "testbench", "dbc", "systems")
 
 GOLDEN = ROOT / "tests" / "golden"
-FROM_S, UNTIL_S = 48.0, 95.0
-"""The part of the golden recording that is played in real time: the fault begins at 70 s."""
+FROM_S = 48.0
+"""The golden recording is played in real time from here: its fault begins at 70 s, its alarm comes some 20 s later.
+
+It is played to its end, some 40 s after that: a frame that a busy machine sends late is doubted, which holds up alarms.
+"""
 VERSIONS = 8
 
 
@@ -151,7 +154,7 @@ def prepared(folder: Path) -> Guest:
         _bundle("sign", bundle, "--key", key)
     lines = (GOLDEN / "log" / "can.log").read_text().splitlines()
     first = float(lines[0].split()[0].strip("()"))
-    inside = [line for line in lines if FROM_S <= float(line.split()[0].strip("()")) - first <= UNTIL_S]
+    inside = [line for line in lines if float(line.split()[0].strip("()")) - first >= FROM_S]
     (share / "can.log").write_text("\n".join(inside) + "\n")
     made = environment(ROOT / "out" / "vehicle-environment")
     return Guest(share, made, folder / "disk.ext4", _preloaded(folder))
