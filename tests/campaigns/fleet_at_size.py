@@ -18,6 +18,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -57,27 +58,32 @@ FAULTS = {name: large for name, (_, large) in frozen().items()}
 
 
 class Spent(NamedTuple):
-    """What a command took: wall clock and CPU time with its workers [s], the largest process [MiB], its exit code."""
+    """What a command took: wall clock and CPU time with its workers [s], the largest process [MiB], its exit code.
+
+    `killed` are the workers of it that were killed.
+    """
 
     wall_s: float
     cpu_s: float
     mib: float
     code: int
+    killed: tuple[int, ...] = ()
 
 
 def command(*words: str, kill_once: Callable[[], bool] | None = None) -> Spent:
     """Run `faultline` with these words to its end; kill one of its workers once this is so."""
-    began = time.monotonic()
+    began, killed = time.monotonic(), list[int]()
     with subprocess.Popen([sys.executable, "-c", RUN, *words], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as it:
         assert it.stderr is not None
         if kill_once is not None:
-            threading.Thread(target=_kill_worker, args=(it.pid, kill_once), daemon=True).start()
+            threading.Thread(target=_kill_worker, args=(it.pid, kill_once, killed), daemon=True).start()
         said = it.stderr.read().decode()
         _, status, used = os.wait4(it.pid, 0)
         it.returncode = os.waitstatus_to_exitcode(status)
     if it.returncode not in (0, 1, 2):
         raise SystemExit(f"faultline {' '.join(words)}: {it.returncode}: {said}")
-    return Spent(time.monotonic() - began, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, int(it.returncode))
+    cpu_s = used.ru_utime + used.ru_stime
+    return Spent(time.monotonic() - began, cpu_s, used.ru_maxrss / 1024.0, it.returncode, tuple(killed))
 
 
 def build_drive(number: int, cycle: str, k: int, into: Path, fault: str | None = None) -> Path:
@@ -155,8 +161,13 @@ def shard(k: int, work: Path, processes: int) -> Record:
     bundle, out = str(work / "made" / "vehicle={vehicle}" / "bundle"), work / "fleet"
     words = ["fleet", "diagnose", str(folder / "logs"), "--bundle", bundle]
 
+    def done() -> int:
+        return sum((out / tables.DRIVES / f"vehicle={name}").exists() for name in truth)
+
+    before = done()  # by an earlier try that was stopped
+
     def some_are_done() -> bool:
-        return any((out / tables.DRIVES / f"vehicle={name}").exists() for name in truth)
+        return done() > before
 
     kill_once = some_are_done if k == KILLED_IN else None
     spent = command(*words, "--out", str(out), "--processes", str(processes), kill_once=kill_once)
@@ -167,7 +178,7 @@ def shard(k: int, work: Path, processes: int) -> Record:
         "rig_cpu_s": sum(cpu_s for _, cpu_s in made),
         "rig_wall_s": recorded_s,
         "diagnose": spent._asdict(),
-        "killed": k == KILLED_IN,
+        "killed": bool(spent.killed),
         "twice": len(rows) - len(found),
         "vehicles": [{**each, **found.get(name, {"verdict": "lost"})} for name, each in truth.items()],
     }
@@ -179,14 +190,25 @@ def shard(k: int, work: Path, processes: int) -> Record:
     return outcome
 
 
-def _kill_worker(parent: int, once: Callable[[], bool]) -> None:
-    """Kill one of the processes that a command has started to work for it, once this is so."""
-    while not once():
+def _kill_worker(parent: int, once: Callable[[], bool], killed: list[int]) -> None:
+    """Kill one of the processes that a command has started to work for it, once this is so, and note which."""
+    while Path(f"/proc/{parent}").exists():
+        if once() and (workers := _workers(parent)):
+            os.kill(workers[0], signal.SIGKILL)
+            killed.append(workers[0])
+            print(f"worker {workers[0]} of {workers} killed", flush=True)
+            return
         time.sleep(0.02)
-    started = [pid for each in Path(f"/proc/{parent}/task").glob("*/children") for pid in each.read_text().split()]
-    workers = [int(pid) for pid in started if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text()]
-    os.kill(workers[0], signal.SIGKILL)
-    print(f"worker {workers[0]} of {workers} killed", flush=True)
+
+
+def _workers(parent: int) -> list[int]:
+    """The processes that work for a command, as long as it runs."""
+    found = []
+    with suppress(OSError):
+        for each in Path(f"/proc/{parent}/task").glob("*/children"):
+            started = map(int, each.read_text().split())
+            found += [pid for pid in started if "spawn_main" in Path(f"/proc/{pid}/cmdline").read_text()]
+    return found
 
 
 def _differs(name: str, folder: Path, bundle: str, out: Path) -> bool:
