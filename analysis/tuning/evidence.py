@@ -145,19 +145,34 @@ def _samples(recordings: Sequence[Seen]) -> Array:
 def with_usual(
     hypotheses: Sequence[Hypothesis], bank: Bank, recordings: Sequence[Seen], stand_ins: Sequence[int], moves: Moves
 ) -> list[Hypothesis]:
-    """Return the hypotheses, the smallest of each form of a fault with its mean shifts in these recordings."""
-    smallest: dict[tuple[str, str | None], int] = {}
-    for row, h in enumerate(hypotheses):
-        if h.brought is None and abs(h.size) < abs(hypotheses[smallest.setdefault((h.fault, h.share_of), row)].size):
-            smallest[h.fault, h.share_of] = row
-    if not smallest:
+    """Return the hypotheses, those that a drive without a fault may seem to have with their mean shifts in these."""
+    rows = _apparent(hypotheses, linear=bank.has_equations)
+    if not rows:
         return []
-    trials = [trial_of(hypotheses[row], bank.model) for row in smallest.values()]
+    trials = [trial_of(hypotheses[row], bank.model) for row in rows]
     steps = np.zeros((len(trials), len(bank.model.known)))
     # under the fault it is the measured that moves
     shifts = -_shifts(bank, recordings, trials, stand_ins, steps, moves)
-    usual = dict(zip(smallest.values(), shifts.tolist(), strict=True))
+    usual = dict(zip(rows, shifts.tolist(), strict=True))
     return [msgspec.structs.replace(h, usual=usual.get(row)) for row, h in enumerate(hypotheses)]
+
+
+def _apparent(hypotheses: Sequence[Hypothesis], *, linear: bool) -> list[int]:
+    """Return the rows of the apparent faults (`core.decision.baseline`).
+
+    Where small shifts are linear in the size, as by equations, that is the smallest size of each form of a fault. What
+    a network answers to a bias of its inputs is not: every size of it is one but the largest, in both directions.
+    """
+    forms: dict[tuple[str, str | None], list[int]] = {}
+    for row, h in enumerate(hypotheses):
+        if h.brought is None:
+            forms.setdefault((h.fault, h.share_of), []).append(row)
+    found: list[int] = []
+    for rows in forms.values():
+        by_size = sorted(rows, key=lambda row: abs(hypotheses[row].size))
+        largest = abs(hypotheses[by_size[-1]].size)
+        found += by_size[:1] if linear else [row for row in by_size if abs(hypotheses[row].size) < largest]
+    return found
 
 
 def with_networks(

@@ -238,9 +238,9 @@ class Hypothesis(_Part, frozen=True):
     """A fault or a disturbance of one size, in its model's unit; sizes of one sign are a chain that begins at none.
 
     In a second form of the fault its size is the fraction by which a parameter changes, `share_of`. With a consequence,
-    `brought` is the size of the fault that is brought, as its second form says it, if it has one. The smallest size of
-    each form has its `usual` shift of the residuals (mode, generator) [Pa], a mean over fault-free drives: a drive
-    without a fault may look as if it had a little of it (`core.decision.baseline`).
+    `brought` is the size of the fault that is brought, as its second form says it, if it has one. One of which a drive
+    without a fault may seem to have a little, the smallest size of each form at least, has its `usual` shift of the
+    residuals (mode, generator) [Pa], a mean over fault-free drives (`core.decision.baseline`).
     """
 
     fault: Name

@@ -17,7 +17,8 @@ What a model lacks changes with the operation, as the effect of a fault does: wi
 a small fault since the drive's start, and the surer the longer it lasts. So a fault-free drive looks as if it had
 apparent faults l, standard normal. G are the shifts g_h by the smallest size of each fault in the operation of the
 block, in such parts that in usual operation they are as far from zero as the baseline's own standard deviation:
-g_h' P_0^-1 g_h = 1 with P_0 the covariance of all modes' means by a and b; the smallest size is the largest part.
+g_h' P_0^-1 g_h = 1 with P_0 the covariance of all modes' means by a and b; that size is the largest part. Of networks,
+whose answer to a bias is not linear in it, larger sizes are apparent faults as well.
 
 All arrays have the logs first: B of them are filtered side by side, the vehicle's is B = 1.
 """
