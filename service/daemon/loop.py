@@ -168,7 +168,7 @@ class Loop:
     def _waited(self, selector: selectors.BaseSelector) -> list[tuple[selectors.SelectorKey, int]]:
         """Wait for what there is to do; return which descriptors are ready.
 
-        A bus that brings frames is not waited for until the next tick: a wake for every frame would cost more than all
+        A bus that brings frames is not waited for until ticks are due: a wake for every frame would cost more than all
         decisions. The kernel stamps frames and holds them meanwhile.
         """
         patience, rest_s = self._patience(), min((line.rest_s for line in self._lines), default=0.0)

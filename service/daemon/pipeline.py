@@ -30,6 +30,9 @@ from faultline.service.logs import Frame
 LAG_S = 0.02
 """Ticks run this far [s, wall] behind the clock, so that a frame still in the socket's queue is in its own tick."""
 
+TOGETHER = 2
+"""Ticks decided one after the other: the second finds the processor's caches warm. The first is a period late."""
+
 FAILED_S = 60.0
 """For so long after a bundle has begun anew because it failed, that is told [s, wall]."""
 OUT_S, LONGEST_OUT_S = 1.0, 60.0
@@ -200,9 +203,12 @@ class Pipeline:
         return False
 
     def due(self) -> float | None:
-        """Return the monotonic time of the next tick [s]; None before the first frame."""
+        """Return the monotonic time at which the next `TOGETHER` ticks are due [s]; None before the first frame."""
         tick = self._monitor.next_tick_s
-        return None if tick is None or self._start is None else self._start + tick / self._speed + LAG_S
+        if tick is None or self._start is None:
+            return None
+        last = tick + (TOGETHER - 1) * self.bundle.manifest.period_s
+        return self._start + last / self._speed + LAG_S
 
     def _renew(self) -> None:
         bundle = self.bundle

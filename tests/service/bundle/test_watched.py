@@ -17,7 +17,7 @@ from faultline.service.core.records.health import Condition
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.traffic import Traffic
 from faultline.service.core.signals.values import Mask
-from faultline.service.daemon.pipeline import FAILED_S, LOST_S, BusChannel, Pipeline, watched
+from faultline.service.daemon.pipeline import FAILED_S, LOST_S, TOGETHER, BusChannel, Pipeline, watched
 from faultline.service.logs import Frame, open_log
 
 BUNDLE = load_bundle(GOLDEN)
@@ -131,9 +131,10 @@ def breaking(made: list[str]) -> Pipeline:
     return Pipeline(load_bundle(GOLDEN), breaks, 1.0)
 
 
-def decided(bus: Bus, patch: pytest.MonkeyPatch, frames: list[Frame], *, at_ticks: bool) -> list[int]:
-    """The ticks that are decided, where the bus is read at every frame, or only when a tick is due."""
+def decided(bus: Bus, patch: pytest.MonkeyPatch, frames: list[Frame], *, at_ticks: bool) -> tuple[list[int], int]:
+    """The ticks that are decided, where the bus is read at every frame, or only when ticks are due; how often it is."""
     ticks: list[int] = []
+    reads = 0
     made = watched(load_bundle(GOLDEN), "truck", 1.0, lambda sample: ticks.append(sample.tick))
     line, waiting = BusChannel("powertrain", bus, [made], print), list(frames)
     while waiting:
@@ -145,16 +146,18 @@ def decided(bus: Bus, patch: pytest.MonkeyPatch, frames: list[Frame], *, at_tick
         patch.setattr(bus, "receive", lambda came=came: came)
         line.listen(now)
         assert line.rest_s == (bus.rest_s if came else 0.0)
+        reads += 1
         due = made.due()
         assert due is None or due > now, "every tick that is due is decided"
-    return ticks
+    return ticks, reads
 
 
 def test_frames_that_waited_until_a_tick_are_decided_at_it(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = recording(until_s=30.0)
-    at_frames, at_ticks = (decided(bus, monkeypatch, frames, at_ticks=each) for each in (False, True))
+    (at_frames, _), (at_ticks, reads) = (decided(bus, monkeypatch, frames, at_ticks=each) for each in (False, True))
     assert at_ticks[: len(at_frames)] == at_frames
     assert len(at_frames) > 100
+    assert reads < len(at_ticks) / TOGETHER + 10
 
 
 def test_a_bundle_that_fails_begins_anew_and_the_others_go_on(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
