@@ -11,6 +11,9 @@ from faultline.service.core.residuals.generators import Graph
 
 Array = npt.NDArray[np.float64]
 
+SWAPPED = (2, 1, 0, 3)
+"""Axes of a batch's rows and of one."""
+
 
 def corrected(raw: bytes, biases: Array, rows: Sequence[int], columns: npt.NDArray[np.intp], states: int) -> bytes:
     """Return the graph of some generators, by their `rows`, with `biases` (H, nz) taken off the samples z (H, nz).
@@ -20,6 +23,8 @@ def corrected(raw: bytes, biases: Array, rows: Sequence[int], columns: npt.NDArr
     """
     model = onnx.load_model_from_string(raw)
     graph = model.graph
+    if len(biases) > 1:
+        _side_by_side(graph)
     of = f"of_{len(graph.node)}"  # a graph that was cut once may be cut again
     for node in graph.node:
         renamed = {"z": f"z_{of}", "x": f"x_{of}"}
@@ -48,3 +53,22 @@ def corrected(raw: bytes, biases: Array, rows: Sequence[int], columns: npt.NDArr
     onnx.checker.check_model(model, full_check=True)
     found: bytes = model.SerializeToString(deterministic=True)
     return found
+
+
+def _side_by_side(graph: onnx.GraphProto) -> None:
+    """Let each function take all rows of a batch at once: (B, N, 1, D) by (N, D, H) are B N products, (1, N, B, D) N.
+
+    With one row the former is faster, as nothing has to be moved.
+    """
+    matrices = {each.name for each in graph.initializer if len(each.dims) == 3}
+    nodes = []
+    for node in graph.node:
+        if node.op_type == "MatMul" and node.input[1] in matrices:
+            given, found = f"{node.input[0]}_by_function_{node.output[0]}", f"{node.output[0]}_by_function"
+            nodes.append(helper.make_node("Transpose", [node.input[0]], [given], perm=SWAPPED))
+            nodes.append(helper.make_node("MatMul", [given, node.input[1]], [found]))
+            nodes.append(helper.make_node("Transpose", [found], [node.output[0]], perm=SWAPPED))
+        else:
+            nodes.append(node)
+    del graph.node[:]
+    graph.node.extend(nodes)
