@@ -7,14 +7,19 @@ does again what it was at.
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar
 
 from distributed import Client, KilledWorker, LocalCluster, as_completed
+from tornado.ioloop import PeriodicCallback
 
 from faultline.analysis.processes import cores, scheduler_at
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
+
+LOOK_S = 20.0
+"""How often processes are started in place of those that are gone for good."""
 
 
 @contextmanager
@@ -31,7 +36,13 @@ def cluster(scheduler: str | None, processes: int | None) -> Iterator[Client]:
     size = {"n_workers": cores(processes), "threads_per_worker": 1}
     where = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
     with LocalCluster(**size, **where, memory_limit=0, silence_logs=logging.ERROR) as local, Client(local) as client:  # type: ignore[no-untyped-call]
-        yield client
+        # Dask starts no worker again that dies while it starts, and gives one up that starts slowly after another
+        keeping = PeriodicCallback(partial(local.scale, size["n_workers"]), 1000.0 * LOOK_S)
+        local.loop.add_callback(keeping.start)
+        try:
+            yield client
+        finally:
+            local.loop.add_callback(keeping.stop)
 
 
 def worked(

@@ -7,9 +7,10 @@ import signal
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import dask
 import fsspec
 import pytest
-from distributed import Client
+from distributed import Client, Nanny
 from pyarrow import parquet
 
 from faultline.analysis.fleet import tables
@@ -265,6 +266,19 @@ def test_a_killed_worker_loses_and_doubles_nothing(two: Client, tmp_path: Path) 
     pieces = [["a"], ["b"], ["c", "deadly", "d"]]
     found = sorted((piece, made) for piece, made in worked(two, once_killed, pieces, tmp_path))
     assert found == [(["a"], ["A"]), (["b"], ["B"]), (["c"], ["C"]), (["d"], ["D"]), (["deadly"], None)]
+
+
+async def _not_started_again(nanny: Nanny, _: int) -> None:
+    """As Dask does with a worker that dies while it starts."""
+    await nanny._unregister()  # type: ignore[no-untyped-call]
+
+
+def test_a_worker_that_is_gone_for_good_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("faultline.analysis.fleet.cluster.LOOK_S", 1.0)
+    monkeypatch.setattr(Nanny, "_on_worker_exit", _not_started_again)
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": "500ms"}), cluster(None, 1) as client:
+        found = sorted((piece, made) for piece, made in worked(client, once_killed, [["a"], ["b"]], tmp_path))
+    assert found == [(["a"], ["A"]), (["b"], ["B"])]
 
 
 def test_pieces_take_all_parts_once() -> None:
