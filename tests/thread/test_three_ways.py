@@ -126,9 +126,12 @@ def test_live_over_the_bus_within_two_samples(tmp_path: Path, speed: float) -> N
     log, period_s = open_log(tmp_path / "can.log"), load_bundle(GOLDEN / "bundle").manifest.period_s
     assert len(list(log.frames())) == sent["frames"]
     offline = of_the_log(tmp_path / "can.log")
+    during = [event for event in live if event.tick <= int(log.duration_s / period_s)]
     if sent["worst_s"] * speed < period_s:
         assert [told(event) for event in offline] == [told(event) for event in OFFLINE]
-    during = [event for event in live if event.tick <= int(log.duration_s / period_s)]
+    else:  # a silence of nearly the maximum age may be one for one of two receivers, and none for the other
+        print(f"the sender was {sent['worst_s']:.3f} s late")
+        during, offline = ([each for each in of if each.transition != "cannot_tell"] for of in (during, offline))
     assert [told(event) for event in during] == [told(event) for event in offline]
     for ours, theirs in zip(during, offline, strict=True):
         for diagnosis, exact in zip(ours.diagnoses, theirs.diagnoses, strict=True):
