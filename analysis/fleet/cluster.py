@@ -19,7 +19,7 @@ Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 
 LOOK_S = 20.0
-"""How often processes are started in place of those that are gone for good."""
+"""Period at which processes are started in place of those that are gone for good [s]."""
 
 
 @contextmanager

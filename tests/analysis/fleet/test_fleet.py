@@ -269,7 +269,7 @@ def test_a_killed_worker_loses_and_doubles_nothing(two: Client, tmp_path: Path) 
 
 
 async def _not_started_again(nanny: Nanny, _: int) -> None:
-    """As Dask does with a worker that dies while it starts."""
+    """Take the worker off the scheduler only, as Dask does with one that dies while it starts."""
     await nanny._unregister()  # type: ignore[no-untyped-call]
 
 
