@@ -82,11 +82,13 @@ class _Scalars:
 
     def of(self, name: str, *operands: int) -> int:
         """The node of an operation."""
+        simpler = _SIMPLER.get(name, _as_it_is)(self, *operands)
+        if simpler is not None:  # nearly always: of constants most are zero
+            return simpler
         given = [self.nodes[each] for each in operands]
         if all(each.operator in ("constant", "row") for each in given):
             return self._folded(name, given)
-        simpler = _SIMPLER.get(name, _as_it_is)(self, *operands)
-        return self._node(Node(name, operands)) if simpler is None else simpler
+        return self._node(Node(name, operands))
 
     def _folded(self, name: str, given: Sequence[Node]) -> int:
         with np.errstate(all="ignore"):

@@ -1,9 +1,9 @@
 """A bundle's gate, modes and residual generators as native code: an `Evaluator` of blocks of ticks."""
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache
-from typing import Any
+from typing import Any, Protocol
 
 import numba
 import numpy as np
@@ -13,7 +13,7 @@ from faultline.analysis.compiled.elements import NotCompiledError
 from faultline.analysis.compiled.kernels import Kernels, kernels_of
 from faultline.analysis.compiled.source import OF_HYPOTHESES, OF_TESTS
 from faultline.service.bundle.load import Bundle
-from faultline.service.core.manifest import Input, Manifest, Modes
+from faultline.service.core.manifest import Evidence, Generator, Input, Modes
 from faultline.service.core.residuals.generators import HELD_TICKS, MOST_DOUBTFUL, Residuals
 from faultline.service.core.residuals.table import GeneratorTable, table_of
 from faultline.service.core.signals.gate import SAMPLES, Gate
@@ -26,18 +26,42 @@ BLOCK = 512
 Run = Callable[..., None]
 
 
+class Evaluated(Protocol):
+    """Interface of what says which generators, modes and hypotheses there are, as a manifest does."""
+
+    @property
+    def generators(self) -> Sequence[Generator]:
+        """Return the residual generators."""
+
+    @property
+    def inputs(self) -> Sequence[Input]:
+        """Return the signals that they take."""
+
+    @property
+    def modes(self) -> Modes:
+        """Return the rules of the operating modes."""
+
+    @property
+    def period_s(self) -> float:
+        """Return the time from tick to tick [s]."""
+
+    @property
+    def evidence(self) -> Evidence | None:
+        """Return the evidence with its hypotheses; None where there is none."""
+
+
 class CompiledEvaluator:
     """Evaluates ticks by compiled functions, to within rounding as `core.residuals.evaluator.TickByTick` does."""
 
-    def __init__(self, manifest: Manifest, kernels: Kernels) -> None:
-        of = table_of(manifest.generators, manifest.inputs, manifest.period_s, manifest.evidence)
+    def __init__(self, what: Evaluated, kernels: Kernels) -> None:
+        of = table_of(what.generators, what.inputs, what.period_s, what.evidence)
         self._kernels = kernels
-        self._gate = _gate(manifest.inputs)
-        self._modes = _modes(manifest.modes, manifest.inputs, manifest.period_s)
+        self._gate = _gate(what.inputs)
+        self._modes = _modes(what.modes, what.inputs, what.period_s)
         self._of = _generators(of, kernels)
-        hypotheses = len(manifest.evidence.hypotheses) if len(of.weighed) else 0
+        hypotheses = len(what.evidence.hypotheses) if what.evidence is not None and len(of.weighed) else 0
         self._state, self._before = _state(of, hypotheses), _state(of, hypotheses)
-        nz, nx, T, K = len(manifest.inputs), len(of.owner), len(manifest.generators), len(of.weighed)
+        nz, nx, T, K = len(what.inputs), len(of.owner), len(what.generators), len(of.weighed)
         shape = MOST_DOUBTFUL, nz
         self._doubtful = driver.Doubtful(np.zeros(shape), np.zeros(shape), _flags(shape), _counts(1))
         rows = (np.zeros((count, hypotheses)) for count in (K, len(of.own)))
@@ -119,14 +143,14 @@ def _types(text: str) -> list[Any]:
     return [numba.types.Array(numba.float64, 1 + each.count(":,"), "C") for each in text.split(", float")]
 
 
-def _gate(inputs: list[Input]) -> driver.GateState:
+def _gate(inputs: Sequence[Input]) -> driver.GateState:
     gate = Gate(inputs)
     size = len(gate.columns)
     last, passed, refused = np.zeros((SAMPLES, size)), np.zeros(size), np.zeros(size)
     return driver.GateState(gate.columns, gate.least, last, passed, refused, _counts(size), _flags(len(inputs)))
 
 
-def _modes(modes: Modes, inputs: list[Input], period_s: float) -> driver.ModesState:
+def _modes(modes: Modes, inputs: Sequence[Input], period_s: float) -> driver.ModesState:
     tracker = ModeTracker(modes, inputs, period_s)
     regions, order = tracker.regions, np.array(tracker.order)
     bounds = regions.above, regions.below, regions.needed

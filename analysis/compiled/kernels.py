@@ -20,6 +20,8 @@ from faultline.writing import write_file
 
 MOST_SCALARS = 20_000
 """Of a graph: more take minutes to compile, as those of networks would."""
+WORTH_IT = 20_000
+"""Ticks from which compiling is worth it: without, so many take as long as compiling does, 15 to 25 s."""
 
 Function = Callable[..., None]
 
@@ -34,11 +36,14 @@ class Kernels(NamedTuple):
     table: FloatArray
 
 
-def kernels_of(tests: bytes, hypotheses: bytes | None, rows: int, *, compiles: bool = True) -> Kernels:
+def kernels_of(tests: bytes, hypotheses: bytes | None, rows: int, *, ticks: int = WORTH_IT, more: int = 0) -> Kernels:
     """Return the functions of the tests' graph, and of that of the hypotheses, which has so many rows.
 
+    They are needed for so many `ticks` now, and for `more` later. They are compiled if that is worth it, counting those
+    for which they were not before, by other processes too: at most twice the time is spent that would have been best.
+
     Raises:
-        NotCompiledError: a graph cannot be compiled; or it never was, and is not to be now.
+        NotCompiledError: a graph cannot be compiled; or it never was, and is not worth it yet.
         OSError: the user's cache cannot be written.
     """
     programs = [program_of(tests, 1), *([] if hypotheses is None else [program_of(hypotheses, rows)])]
@@ -46,12 +51,26 @@ def kernels_of(tests: bytes, hypotheses: bytes | None, rows: int, *, compiles: b
         raise NotCompiledError(f"a graph of {scalars} scalars would take minutes to compile")
     of_tests, *others = programs
     other = others[0] if others else None
-    text = HEAD + tests_text(of_tests) + (hypotheses_text(other, rows) if other else NO_HYPOTHESES)
-    if not (compiles or _place(text).exists()):
-        raise NotCompiledError("this was never compiled")
-    module = _module(text)
+    texts = HEAD + tests_text(of_tests), HEAD + (hypotheses_text(other, rows) if other else NO_HYPOTHESES)
+    worth_it = [_is_worth_it(text, ticks, more) for text in texts[: len(programs)]]
+    if not all(worth_it):
+        raise NotCompiledError("this was never compiled, and is needed for few ticks")
+    modules = [_module(text) for text in texts]
     numbers = numbers_of(of_tests), numbers_of(other)
-    return Kernels(module.tests, module.hypotheses, *numbers, table_of(other, rows))
+    return Kernels(modules[0].tests, modules[1].hypotheses, *numbers, table_of(other, rows))
+
+
+def _is_worth_it(text: str, ticks: int, more: int) -> bool:
+    """Return True if this was compiled, or is worth it now; if not, the ticks are counted."""
+    if (path := _place(text)).exists():
+        return True
+    count = path.with_suffix(".ticks")
+    before = int(count.read_text()) if count.exists() else 0
+    if before + ticks + more >= WORTH_IT:
+        return True
+    if ticks:
+        write_file(count, str(before + ticks))
+    return False
 
 
 def _place(text: str) -> Path:
@@ -64,6 +83,9 @@ def _place(text: str) -> Path:
 def _module(text: str) -> ModuleType:
     """The module of this text, with its compiled functions beside it."""
     path = _place(text)
+    known = sys.modules.get(path.stem)
+    if known is not None and known.__file__ == str(path):
+        return known
     if not path.exists():
         write_file(path, text)
     spec = spec_from_file_location(path.stem, path)

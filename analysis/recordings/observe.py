@@ -11,7 +11,7 @@ from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import Model
 from faultline.analysis.recordings.modes import modes_of
 from faultline.service.core.manifest import Input, Manifest
-from faultline.service.core.residuals.evaluator import TickByTick
+from faultline.service.core.residuals.evaluator import Evaluator, TickByTick
 from faultline.service.core.residuals.generators import FRESH, Generators, Residuals
 from faultline.service.core.residuals.observer import Observer, Tick
 from faultline.service.core.signals.arrivals import known_jitter
@@ -103,8 +103,12 @@ def start_within_s(model: Model) -> float:
 def ticks_of(model: Model, inputs: Sequence[Input], signals: Signals, generators: Generators) -> list[Tick]:
     """The same with any generators."""
     modes = ModeTracker(modes_of(model), inputs, model.period_s)
-    start_s = start_within_s(model)
-    return _ticks(Observer(NO_FRAMES, Sampler(inputs), TickByTick(generators, modes), model.period_s, start_s), signals)
+    return evaluated(model, inputs, signals, TickByTick(generators, modes))
+
+
+def evaluated(model: Model, inputs: Sequence[Input], signals: Signals, evaluator: Evaluator) -> list[Tick]:
+    """The same with any evaluator."""
+    return _ticks(Observer(NO_FRAMES, Sampler(inputs), evaluator, model.period_s, start_within_s(model)), signals)
 
 
 def samples_of(manifest: Manifest, signals: Signals) -> list[Tick]:

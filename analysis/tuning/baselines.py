@@ -22,10 +22,19 @@ def without_baseline(s: Seen, evidence: Evidence, generators: Sequence[str]) -> 
     evidence = msgspec.structs.replace(evidence, graph=None, hypotheses=[])
     model = BaselineModel(evidence, s.time)
     baseline, blocks = BaselineFilter(model), BlockMeans(evidence, generators, s.time)
-    for tick, mode, r, usable in zip(s.ticks.tolist(), s.mode.tolist(), s.r, s.usable, strict=True):
-        block = blocks.add(tick, mode, Residuals(r, r, r, usable))
-        if block is not None:
-            baseline.step(block)
+    done, edges = 0, np.flatnonzero((np.diff(s.mode) != 0) | (np.diff(s.ticks) != 1)) + 1
+    for end in (*edges.tolist(), len(s.mode)):
+        while done < end:
+            mode = int(s.mode[done])
+            row = slice(done, int(min(end, done + blocks.room(mode))))
+            r = s.r[row]
+            block = blocks.extend(int(s.ticks[done]), mode, Residuals(r, r, r, s.usable[row]))
+            if block is not None:
+                baseline.step(block)
+            done = row.stop
     known = BaselineLevel(evidence, generators, model)
     known.follow(baseline.state)
-    return replace(s, level=np.array([known.taken_off(mode, r) for mode, r in zip(s.mode.tolist(), s.r, strict=True)]))
+    level = np.empty_like(s.r)
+    for mode in np.unique(s.mode).tolist():
+        level[s.mode == mode] = known.taken_off(mode, s.r[s.mode == mode])
+    return replace(s, level=level)

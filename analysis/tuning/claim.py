@@ -177,7 +177,9 @@ def count(left_out: Sequence[Fold], manifests: Sequence[Manifest], to: Array, sa
         for drive, offset in fold.test:
             say(f"{drive.seen.name}, left out")
             moved_there = shifted(manifest, offset - to)
-            counts[index] += told(moved_there, drive, *evaluator_of(fold.vehicle.runnable, moved_there, ticks))
+            ticks -= len(drive.ticks)
+            by = evaluator_of(fold.vehicle.runnable, moved_there, len(drive.ticks), ticks)
+            counts[index] += told(moved_there, drive, *by)
     return counts
 
 

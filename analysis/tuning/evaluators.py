@@ -1,35 +1,66 @@
-"""Drives that tuning leaves out are evaluated and decided in native code where it can be had, with the same decisions.
+"""Drives are evaluated and decided in native code where it can be had, with the same decisions.
 
-Compiling takes about a minute, once a model: for a few short drives that is longer than they take without.
+Compiling takes some 20 s, once a model: for a few short drives that is longer than they take without.
 """
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 from faultline.analysis.graph.bank import GRAPH
 from faultline.analysis.graph.runnable import Runnable
+from faultline.analysis.recordings.modes import modes_of
 from faultline.service.core.decision.parts import PARTS, Parts
-from faultline.service.core.manifest import Manifest
+from faultline.service.core.manifest import Evidence, Generator, Input, Manifest, Modes
 from faultline.service.core.residuals.evaluator import Evaluator, TickByTick
 from faultline.service.core.signals.modes import ModeTracker
 
-COMPILED = 20_000
-"""Ticks from which it is worth it: without, 20,000 take as long as compiling does."""
+
+class _Residuals(NamedTuple):
+    """What is evaluated where hypotheses are not."""
+
+    generators: Sequence[Generator]
+    inputs: Sequence[Input]
+    modes: Modes
+    period_s: float
+    evidence: Evidence | None = None
 
 
-def evaluator_of(runnable: Runnable, manifest: Manifest, ticks: int) -> tuple[Evaluator, Parts]:
-    """Return an evaluator of the generators and hypotheses, and the parts of the decision, for so many ticks in all.
+def evaluator_of(runnable: Runnable, manifest: Manifest, ticks: int, more: int) -> tuple[Evaluator, Parts]:
+    """Return an evaluator of the generators and hypotheses, and the parts of the decision.
+
+    They are for so many `ticks`; others will be wanted for `more`.
 
     Both are native if Numba is there, the bundle has no networks, and it is worth it or was compiled before.
 
     Raises:
         InputError: the model divides by parameters that are zero.
     """
-    native = None if runnable.networks else _native(runnable, manifest, compiles=ticks >= COMPILED)
+    native = _native(runnable, manifest, manifest.evidence, ticks, more)
     if native is not None:
         return native
     modes = ModeTracker(manifest.modes, manifest.inputs, manifest.period_s)
     return TickByTick(runnable.fresh(manifest.evidence), modes), PARTS
 
 
-def _native(runnable: Runnable, manifest: Manifest, *, compiles: bool) -> tuple[Evaluator, Parts] | None:
+def residuals_of(runnable: Runnable) -> Evaluator:
+    """Return an evaluator of the generators alone: native if it could be, and was compiled before.
+
+    Raises:
+        InputError: the model divides by parameters that are zero.
+    """
+    model, inputs = runnable.bank.model, runnable.bank.inputs
+    what = _Residuals(runnable.generators, inputs, modes_of(model), model.period_s)
+    native = _native(runnable, what, None)
+    if native is not None:
+        return native[0]
+    return TickByTick(runnable.fresh(), ModeTracker(what.modes, inputs, model.period_s))
+
+
+def _native(
+    runnable: Runnable, what: Manifest | _Residuals, evidence: Evidence | None, ticks: int = 0, more: int = 0
+) -> tuple[Evaluator, Parts] | None:
+    if runnable.networks:
+        return None
     try:
         from faultline.analysis.compiled.decision import NATIVE
         from faultline.analysis.compiled.elements import NotCompiledError
@@ -37,10 +68,10 @@ def _native(runnable: Runnable, manifest: Manifest, *, compiles: bool) -> tuple[
         from faultline.analysis.compiled.kernels import kernels_of
     except ModuleNotFoundError:
         return None
-    evidence = manifest.evidence
-    hypotheses = runnable.of_hypotheses(evidence).get(evidence.graph or "")
+    hypotheses = runnable.of_hypotheses(evidence).get(evidence.graph or "") if evidence else None
+    rows = len(evidence.hypotheses) if evidence else 0
     try:
-        kernels = kernels_of(runnable.graphs[GRAPH], hypotheses, len(evidence.hypotheses), compiles=compiles)
+        kernels = kernels_of(runnable.graphs[GRAPH], hypotheses, rows, ticks=ticks, more=more)
     except (NotCompiledError, OSError):  # networks, or no place to keep what is compiled: as on the vehicle then
         return None
-    return CompiledEvaluator(manifest, kernels), NATIVE
+    return CompiledEvaluator(what, kernels), NATIVE

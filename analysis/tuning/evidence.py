@@ -327,8 +327,8 @@ def _shifts(
     """Return how far (n, modes, rows) the mean residuals move with each of n trials, its samples `steps` (n, nz) on."""
     total = np.zeros((len(stand_ins), len(trials), len(bank.tests)))
     count = np.zeros(len(stand_ins))
-    for s in recordings:
-        moved, usable = moves.of(bank, s, trials, steps), s.usable.all(axis=1)
+    for s, moved in zip(recordings, moves.of(bank, recordings, trials, steps), strict=True):
+        usable = s.usable.all(axis=1)
         for mode in set(stand_ins):
             total[mode] += moved[mode]
             count[mode] += (usable & (s.mode == mode)).sum()

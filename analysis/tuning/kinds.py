@@ -104,12 +104,24 @@ def opened(kind: Kind, d: Described, runs: Sequence[Run], time: TimeScale) -> li
 
 def reached(settings: Detector, run: Run, period_s: float) -> Array:
     """What an open detector compares with its threshold (n,), in the threshold's units."""
+    if isinstance(settings, CusumDetector):
+        return _sums(settings, run.s)
     fresh = detector(settings, period_s)
     values = np.empty(len(run.s))
     for index, (tick, s) in enumerate(zip(run.tick, run.s, strict=True)):
         fresh.update(int(tick), float(s))
         values[index] = fresh.value
     return values * settings.J
+
+
+def _sums(settings: CusumDetector, s: Array) -> Array:
+    """The larger sum (n,) of an open CUSUM: how far the partial sums lie above the least of them so far (Page 1954)."""
+    largest = np.zeros(len(s))
+    for side, sign in (("above", 1.0), ("below", -1.0)):
+        if settings.side in ("both", side):
+            partial = np.cumsum(sign * s - settings.nu)
+            np.maximum(largest, partial - np.minimum(np.minimum.accumulate(partial), 0.0), out=largest)
+    return largest
 
 
 def unrest(kind: Kind, runs: Sequence[Run]) -> float:

@@ -6,6 +6,7 @@ from its own drives, and not from those of others: so residuals are centred per 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 
@@ -17,8 +18,9 @@ from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.progress import Progress
 from faultline.analysis.recordings.check import findings
 from faultline.analysis.recordings.modes import modes_of, time_of
-from faultline.analysis.recordings.observe import open_for, ticks_of, trusted
+from faultline.analysis.recordings.observe import evaluated, open_for, trusted
 from faultline.analysis.recordings.track import Track, tracks_of
+from faultline.analysis.tuning.evaluators import residuals_of
 from faultline.analysis.tuning.numbers import limited
 from faultline.analysis.tuning.thresholds import MINIMUM_TICKS, Seen, edge_last, more_of, seen
 from faultline.service.core.errors import InputError
@@ -43,6 +45,16 @@ class Drive:
     ticks: Sequence[Tick]
     seen: Seen
     inputs: Sequence[Input]
+
+    @cached_property
+    def medians(self) -> tuple[Array, Array]:
+        """The medians (T, modes) of the residuals, 0 where there are none, and of how many ticks they are."""
+        shape = self.seen.usable.shape[1], len(self.seen.modes)
+        medians, ticks = np.zeros(shape), np.zeros(shape)
+        for row, mode in np.ndindex(shape):
+            r = self.seen.r[self.seen.inside(row, mode), row]
+            medians[row, mode], ticks[row, mode] = np.median(r) if len(r) else 0.0, len(r)
+        return medians, ticks
 
     @property
     def hours(self) -> float:
@@ -93,7 +105,7 @@ def read(runnable: Runnable, paths: Sequence[Path], used: Mapping[str, str], pro
                 f"{early_s:.2g} s, within which a second sender of them is counted only"
             )
         tracks.append(tracks_of(signals, units))
-        ticks = ticks_of(model, runnable.bank.inputs, signals, runnable.fresh())
+        ticks = evaluated(model, runnable.bank.inputs, signals, residuals_of(runnable))
         inputs = limited(runnable.bank.inputs, signals, model.residuals, jitter_s)
         drives.append(
             Drive(log.drive, ticks, seen(log.id, ticks, list(units), modes_of(model).names, time_of(model)), inputs)
@@ -139,9 +151,7 @@ def offsets(drives: Sequence[Drive], stand_ins: Sequence[int], otherwise: Array 
     modes = [*dict.fromkeys(stand_ins)]  # each once, or one would count as often as it stands for another
     column = [modes.index(mode) for mode in stand_ins]
     for row in range(shape[0]):
-        of_drives = [[drive.seen.r[drive.seen.inside(row, mode), row] for mode in modes] for drive in drives]
-        ticks = np.array([[len(r) for r in each] for each in of_drives])
-        medians = np.array([[np.median(r) if len(r) else 0.0 for r in each] for each in of_drives])
+        medians, ticks = (np.array([drive.medians[k][row, modes] for drive in drives]) for k in (0, 1))
         shown = (ticks.sum(axis=0) >= MINIMUM_TICKS)[column]
         own = without_days(medians, np.minimum(ticks / MINIMUM_TICKS, 1.0))[column]
         found[row] = np.where(shown, own, found[row])

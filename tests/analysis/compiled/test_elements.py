@@ -12,7 +12,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from faultline.analysis.compiled.elements import NotCompiledError, program_of
-from faultline.analysis.compiled.kernels import kernels_of
+from faultline.analysis.compiled.kernels import WORTH_IT, kernels_of
 from faultline.service.core.residuals.graph_file import OPERATORS
 
 ROWS, COLUMNS = 7, 4
@@ -169,7 +169,27 @@ def test_vehicles_of_other_parameters_share_what_is_compiled() -> None:
 def test_a_second_process_only_loads(tmp_path: Path) -> None:
     raw = graph(ELEMENTWISE, {})
     first = kernels_of(raw, None, 0)
-    assert [path.suffix for path in (tmp_path / "faultline" / "compiled").iterdir() if path.is_file()] == [".py"]
+    files = [path for path in (tmp_path / "faultline" / "compiled").iterdir() if path.is_file()]
+    assert [path.suffix for path in files] == [".py", ".py"]  # the tests, and no hypotheses
     del sys.modules[first.tests.__module__]
     again = kernels_of(raw, None, 0)
     assert again.tests.stats.cache_hits  # type: ignore[attr-defined]
+
+
+def test_few_ticks_are_counted_until_compiling_is_worth_it() -> None:
+    raw, some = graph(ELEMENTWISE, {}), WORTH_IT // 3 + 1
+    with pytest.raises(NotCompiledError, match="few ticks"):
+        kernels_of(raw, None, 0, ticks=some)
+    with pytest.raises(NotCompiledError, match="few ticks"):
+        kernels_of(raw, None, 0, ticks=0)
+    with pytest.raises(NotCompiledError, match="few ticks"):
+        kernels_of(raw, None, 0, ticks=some)
+    kernels_of(raw, None, 0, ticks=some)
+    kernels_of(raw, None, 0, ticks=0)
+
+
+def test_ticks_that_are_still_to_come_count() -> None:
+    raw = graph(ELEMENTWISE, {})
+    with pytest.raises(NotCompiledError, match="few ticks"):
+        kernels_of(raw, None, 0, ticks=1, more=WORTH_IT - 2)
+    kernels_of(raw, None, 0, ticks=1, more=WORTH_IT - 2)

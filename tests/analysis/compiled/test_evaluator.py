@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 from random import Random
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from faultline.analysis.compiled.evaluator import CompiledEvaluator, kernels_of_
 from faultline.analysis.compiled.kernels import Kernels
 from faultline.service.bundle.load import load_bundle, load_with_log
 from faultline.service.core.decision.parts import PARTS
+from faultline.service.core.manifest import Evidence, Generator, Input, Modes
 from faultline.service.core.monitor import Monitor
 from faultline.service.core.records.line import encode
 from faultline.service.core.residuals.evaluator import Evaluator, TickByTick
@@ -28,6 +30,16 @@ TICKS = 1500
 APART_PA = 1.0
 """How far residuals may lie apart, where pressures jump by 1e6 Pa: sums are formed in another order. In drives it is
 2e-5 Pa, and noise is hundreds."""
+
+
+class Alone(NamedTuple):
+    """What an evaluator needs of a manifest, with hypotheses or without."""
+
+    generators: list[Generator]
+    inputs: list[Input]
+    modes: Modes
+    period_s: float
+    evidence: Evidence | None
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +98,10 @@ def values(residuals: Residuals) -> Iterator[FloatArray]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_ticks_of_samples_that_jump_go_missing_and_leave_the_operating_region(seed: int, kernels: Kernels) -> None:
+@pytest.mark.parametrize("evidence", [MANIFEST.evidence, None], ids=["hypotheses", "none"])
+def test_ticks_of_samples_that_jump_go_missing_and_leave_the_operating_region(
+    seed: int, evidence: Evidence | None, kernels: Kernels
+) -> None:
     rng = np.random.default_rng(seed)
     lower, upper = (np.array([getattr(each, bound) for each in MANIFEST.inputs]) for bound in ("lower", "upper"))
     shape = TICKS, len(MANIFEST.inputs)
@@ -98,11 +113,13 @@ def test_ticks_of_samples_that_jump_go_missing_and_leave_the_operating_region(se
     usable = np.repeat(rng.random((TICKS // 10, shape[1])) < 0.97, 10, axis=0) & (rng.random(shape) < 0.99)
     z[~usable] = np.nan
     ages = np.where(rng.random(shape) < 0.03, 1.0, 0.05)
-    reference = TickByTick(BUNDLE.bank(), ModeTracker(MANIFEST.modes, MANIFEST.inputs, MANIFEST.period_s))
+    what = Alone(MANIFEST.generators, MANIFEST.inputs, MANIFEST.modes, MANIFEST.period_s, evidence)
+    bank = GeneratorBank(BUNDLE.graphs, what.generators, what.inputs, what.period_s, evidence)
+    reference = TickByTick(bank, ModeTracker(MANIFEST.modes, MANIFEST.inputs, MANIFEST.period_s))
     held = counted = 0
     found, expected = (
         [(mode, residuals.at(k)) for modes, residuals in each.evaluate(z, usable, ages) for k, mode in enumerate(modes)]
-        for each in (CompiledEvaluator(MANIFEST, kernels), reference)
+        for each in (CompiledEvaluator(what, kernels), reference)
     )
     for (mode, ours), (of_reference, theirs) in zip(found, expected, strict=True):
         assert mode == of_reference

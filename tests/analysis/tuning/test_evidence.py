@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -9,9 +10,14 @@ import pytest
 from faultline.analysis.graph.bank import Bank, build_bank
 from faultline.analysis.graph.runnable import Runnable
 from faultline.analysis.model import Model, load_model
+from faultline.analysis.tuning.baselines import without_baseline
 from faultline.analysis.tuning.evidence import gather
+from faultline.analysis.tuning.moves import Moves
 from faultline.analysis.tuning.straying import as_seen, doubted
 from faultline.analysis.tuning.thresholds import Seen, tune_detectors
+from faultline.service.core.decision.baseline import BaselineFilter, BaselineModel
+from faultline.service.core.decision.baseline_level import BaselineLevel
+from faultline.service.core.decision.blocks import BlockMeans
 from faultline.service.core.decision.decision import CONFIRMED
 from faultline.service.core.decision.hypotheses import Hypotheses
 from faultline.service.core.decision.look import TIE, Look
@@ -110,6 +116,40 @@ def made() -> Made:
         [d.offset for d in tune_detectors([g.name for g in bank.generators], recordings, bank.sigma, OWN)]
     )
     return Made(bank, offset, recordings, gather(bank, offset, recordings, OWN)[0])
+
+
+def test_recordings_side_by_side_move_as_each_alone(made: Made) -> None:
+    one, other = made.recordings
+    half = len(other.z) // 2
+    shorter = replace(other, z=other.z[:half], r=other.r[:half], usable=other.usable[:half], mode=other.mode[:half])
+    trials, steps = [{"fA_t": -0.5}, {}], np.array([[0.0] * 5, [1000.0, 0.0, 0.0, 0.0, 0.0]])
+    together = Moves().of(made.bank, [one, shorter], trials, steps)
+    alone = [Moves().of(made.bank, [each], trials, steps)[0] for each in (one, shorter)]
+    for of_both, of_one in zip(together, alone, strict=True):
+        assert of_both.keys() == of_one.keys()
+        for mode, moved in of_one.items():
+            np.testing.assert_allclose(of_both[mode], moved, rtol=1e-9, atol=1e-3)
+
+
+def test_the_baseline_is_taken_off_as_tick_by_tick(made: Made) -> None:
+    one = made.recordings[0]
+    there = np.arange(len(one.z)) % 97 != 0  # some ticks are missing
+    number = np.flatnonzero(there)
+    some = replace(one, z=one.z[there], r=one.r[there], usable=one.usable[there], mode=one.mode[there], number=number)
+    names = [each.name for each in made.bank.generators]
+    evidence = msgspec.structs.replace(made.evidence, graph=None, hypotheses=[])
+    model = BaselineModel(evidence, TIME)
+    baseline, blocks = BaselineFilter(model), BlockMeans(evidence, names, TIME)
+    for tick, mode, r, usable in zip(number.tolist(), some.mode.tolist(), some.r, some.usable, strict=True):
+        if (block := blocks.add(tick, mode, Residuals(r, r, r, usable))) is not None:
+            baseline.step(block)
+    known = BaselineLevel(evidence, names, model)
+    known.follow(baseline.state)
+    expected = [known.taken_off(mode, r) for mode, r in zip(some.mode.tolist(), some.r, strict=True)]
+    level = without_baseline(some, made.evidence, names).level
+    assert level is not None
+    np.testing.assert_allclose(level, expected, rtol=1e-12, atol=1e-9)
+    assert np.abs(level - some.r).max() > 1.0
 
 
 def test_every_fault_and_size_of_the_model_has_its_hypothesis(made: Made) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from faultline.analysis.tuning.kinds import ALLOWANCE, LASTING, MINIMUM_J, described_by
+from faultline.analysis.tuning.kinds import ALLOWANCE, LASTING, MINIMUM_J, Run, described_by, reached
 from faultline.analysis.tuning.statistics import visits
 from faultline.analysis.tuning.thresholds import MARGIN, MINIMUM_TICKS, TOLD_TICKS, Seen, seen, standard
 from faultline.analysis.tuning.thresholds import tune_detectors as tune_all
@@ -16,7 +16,7 @@ from faultline.service.core.detectors.cusum import Cusum
 from faultline.service.core.detectors.kinds import kind_of
 from faultline.service.core.detectors.spread import Spread
 from faultline.service.core.errors import InputError
-from faultline.service.core.manifest import CusumDetector
+from faultline.service.core.manifest import CusumDetector, Side
 from faultline.service.core.residuals.generators import Residuals
 from faultline.service.core.residuals.observer import Tick
 from faultline.service.core.signals.modes import EDGE
@@ -245,3 +245,16 @@ def test_ticks_on_both_sides_of_a_gap_are_no_neighbours() -> None:
         seen_there.update(int(run.tick[index]), float(run.s[index]))
     assert seen_there.value == 0.0
     assert len([*visits([cut], IDLE)]) == 2 * len([*visits([whole], IDLE)])
+
+
+@pytest.mark.parametrize("side", ["both", "above", "below"])
+def test_the_sums_of_a_run_are_those_of_the_detector(side: Side) -> None:
+    s = np.random.default_rng(7).normal(0.3, 2.0, 3000)
+    settings = CusumDetector(generator="ta.ode", offset=[0.0], scale=[1.0], nu=0.5, J=1e9, side=side)
+    cusum, expected = Cusum(0.5, 1e9, side), []
+    for tick, each in enumerate(s.tolist()):
+        cusum.update(tick, each)
+        expected.append(cusum.value * 1e9)
+    values = reached(settings, Run(np.arange(len(s)), s), 0.2)
+    np.testing.assert_allclose(values, expected, rtol=1e-9, atol=1e-9)
+    assert values.max() > 10.0
