@@ -50,9 +50,11 @@ def worked(
 ) -> Iterator[tuple[Sequence[Piece], Sequence[Result] | None]]:
     """Yield each piece with what `work(piece, *given)` returns, as they come; None where workers died of it.
 
-    A piece of several parts at which workers die is divided into its parts, so that only one of them is lost.
+    A piece of several parts at which workers die is divided into its parts, so that only one of them is lost. Dask
+    blames a worker's death on what waited there too: whatever is blamed is tried again at the end, one by one.
     """
     waiting = {client.submit(work, piece, *given, pure=False): piece for piece in pieces}
+    blamed: list[Sequence[Piece]] = []
     coming = as_completed(list(waiting))  # type: ignore[no-untyped-call]
     for future in coming:
         piece = waiting.pop(future)
@@ -60,12 +62,17 @@ def worked(
             yield piece, future.result()
         except KilledWorker:
             if len(piece) == 1:
-                yield piece, None
+                blamed.append(piece)
                 continue
             for part in piece:
                 again = client.submit(work, [part], *given, pure=False)
                 waiting[again] = [part]
                 coming.add(again)  # type: ignore[no-untyped-call]
+    for piece in blamed:
+        try:
+            yield piece, client.submit(work, piece, *given, pure=False).result()
+        except KilledWorker:
+            yield piece, None
 
 
 def pieces_of(parts: Sequence[Piece], sizes: Sequence[int], size: int) -> list[list[Piece]]:

@@ -268,6 +268,15 @@ def test_a_killed_worker_loses_and_doubles_nothing(two: Client, tmp_path: Path) 
     assert found == [(["a"], ["A"]), (["b"], ["B"]), (["c"], ["C"]), (["d"], ["D"]), (["deadly"], None)]
 
 
+def test_what_waits_at_a_worker_that_is_killed_is_not_lost(tmp_path: Path) -> None:
+    """Dask blames each death on all that waits there, here on everything."""
+    with dask.config.set({"distributed.scheduler.worker-saturation": "inf"}), cluster(None, 1) as client:
+        found = sorted(
+            (piece, made) for piece, made in worked(client, once_killed, [["deadly"], ["c"], ["d"]], tmp_path)
+        )
+    assert found == [(["c"], ["C"]), (["d"], ["D"]), (["deadly"], None)]
+
+
 async def _not_started_again(nanny: Nanny, _: int) -> None:
     """Take the worker off the scheduler only, as Dask does with one that dies while it starts."""
     await nanny._unregister()  # type: ignore[no-untyped-call]

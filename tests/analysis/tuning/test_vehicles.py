@@ -1,8 +1,5 @@
 """Where a vehicle's residuals lie: no mode by one day and another by the next."""
 
-from types import SimpleNamespace
-from typing import cast
-
 import numpy as np
 import pytest
 
@@ -23,7 +20,7 @@ def drive(day: float, ticks: dict[int, int]) -> Drive:
     mode = np.repeat(list(ticks), list(ticks.values()))
     r = (mode + day + np.random.default_rng(1).normal(0.0, 0.01, len(mode)))[:, None]
     seen = Seen("drive", np.zeros((len(mode), 1)), r, np.ones((len(mode), 1), dtype=np.bool_), mode, MODES, TIME)
-    return cast(Drive, SimpleNamespace(seen=seen))
+    return Drive("", [], seen, [])
 
 
 @pytest.mark.parametrize("more", [300, 3000])
