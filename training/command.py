@@ -94,7 +94,9 @@ def _trained(options: argparse.Namespace, model: Model) -> Networks:
         training.run(progress.tell, lambda: save_checkpoint(options.out, key, training))
         if begin:
             anew = trained_anew(training, layout, samples, begin, options.seed, progress.tell, device)
-            progress.note("adapted, but for what errs less when trained anew: " + (", ".join(anew) or "none"))
+            progress.note(
+                "adapted, but for what was trained anew as it errs less or hardly more: " + (", ".join(anew) or "none")
+            )
         if training.stopped:
             progress.note(
                 f"stopped after {training.done} of {training.iterations} iterations: {training.stopped}; "

@@ -247,13 +247,14 @@ class Training:
         outputs = {id(p) for p in self.networks.outputs.parameters()}
         return [(p, tests if id(p) in outputs else self._owner) for p in self._parameters]
 
-    def take(self, other: "Training") -> list[str]:
-        """Takes from a training of the same tests what errs less where it was held out; returns the names of these.
+    def take(self, other: "Training", clearly: float) -> list[str]:
+        """Keeps tests that err less than `clearly` (a part of 1) times as much as another training's; takes the rest.
 
-        By all members together: what one held out is a fifth of the recording, all together are the whole of it.
+        Errors are those where the recording was held out, by all members together: what one held out is a fifth of it,
+        all together are the whole. Returns the names of the tests that were taken.
         """
-        own, others = (each.best_error.pow(2).mean(dim=0) for each in (self, other))
-        better = (others < own).expand(self.recipe.members, -1)
+        own, others = (each.best_error.pow(2).mean(dim=0).sqrt() for each in (self, other))
+        better = (own > clearly * others).expand(self.recipe.members, -1)
         self._keep(better, other.best)
         self.best_error = torch.where(better, other.best_error, self.best_error)
         return [test.name for test, taken in zip(self.layout.tests, better[0].tolist(), strict=True) if taken]
