@@ -1,6 +1,7 @@
 """The drives of a fleet: recordings and log files under folders and globs, on any file system that fsspec opens."""
 
 import hashlib
+import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -61,6 +62,7 @@ def find_drives(given: Iterable[str]) -> list[Drive]:
 
 def _found(text: str) -> Iterator[Drive]:
     fs, path = url_to_fs(text)
+    path = os.path.normpath(path) if _is_local(fs) else path
     behind = text[text.index("::") :] if "::" in text else ""  # as of a file in an archive
     for place in fs.glob(path) if any(mark in path for mark in "*?[") else [path]:
         if fs.isfile(place):
@@ -72,7 +74,8 @@ def _found(text: str) -> Iterator[Drive]:
 def _within(fs: Any, folder: str, behind: str) -> Iterator[Drive]:
     """Recordings in a folder and below it, and log files outside them."""
     files = fs.find(folder, detail=True)
-    recordings = {str(PurePosixPath(path).parent) for path in files if PurePosixPath(path).name == FILE}
+    split = (path.rpartition("/") for path in files)
+    recordings = {place for place, _, name in split if name == FILE}
     for recording in sorted(recordings):
         size = sum(info["size"] for path, info in files.items() if path.startswith(f"{recording}/"))
         yield Drive(_address(fs, recording, behind), size, is_folder=True)
@@ -80,6 +83,10 @@ def _within(fs: Any, folder: str, behind: str) -> Iterator[Drive]:
         apart = not any(path.startswith(f"{recording}/") for recording in recordings)
         if apart and Path(path.removesuffix(".gz")).suffix.lower() in ENDINGS:
             yield Drive(_address(fs, path, behind), info["size"], is_folder=False)
+
+
+def _is_local(fs: Any) -> bool:
+    return "file" in (fs.protocol if isinstance(fs.protocol, tuple) else (fs.protocol,))
 
 
 def _address(fs: Any, path: str, behind: str) -> str:
@@ -90,7 +97,7 @@ def _address(fs: Any, path: str, behind: str) -> str:
 def at_hand(drive: Drive) -> Iterator[Path]:
     """The drive as a local path: itself, or a copy for as long as the context lasts."""
     fs, path = url_to_fs(drive.url)
-    if "file" in (fs.protocol if isinstance(fs.protocol, tuple) else (fs.protocol,)):
+    if _is_local(fs):
         yield Path(path)
         return
     folder = Path(tempfile.mkdtemp(prefix="faultline-"))

@@ -50,7 +50,13 @@ KILLED_IN = 3
 AGAIN = 1
 """The shard that is diagnosed with one process as well, and of which some vehicles are by themselves."""
 ALONE = 5
-RUN = "import sys; from faultline.service.cli import main; sys.exit(main())"
+RUN = """
+import resource, sys
+from faultline.service.cli import main
+code = main()
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, file=sys.stderr)  # of itself it is the campaign's, too
+sys.exit(code)
+"""
 RESULTS = Path("docs/results/fleet.jsonl")
 WORK = Path("out/campaign-fleet")
 FROZEN = ("analysis", "service", "testbench", "training", "dbc", "tests/campaigns/fleet_at_size.py")
@@ -58,7 +64,7 @@ FAULTS = {name: large for name, (_, large) in frozen().items()}
 
 
 class Spent(NamedTuple):
-    """What a command took: wall clock and CPU time with its workers [s], the largest process [MiB], its exit code.
+    """What a command took: wall clock and CPU time with its workers [s], the largest of them [MiB], its exit code.
 
     `killed` are the workers of it that were killed.
     """
@@ -83,7 +89,7 @@ def command(*words: str, kill_once: Callable[[], bool] | None = None) -> Spent:
     if it.returncode not in (0, 1, 2):
         raise SystemExit(f"faultline {' '.join(words)}: {it.returncode}: {said}")
     cpu_s = used.ru_utime + used.ru_stime
-    return Spent(time.monotonic() - began, cpu_s, used.ru_maxrss / 1024.0, it.returncode, tuple(killed))
+    return Spent(time.monotonic() - began, cpu_s, int(said.split()[-1]) / 1024.0, it.returncode, tuple(killed))
 
 
 def build_drive(number: int, cycle: str, k: int, into: Path, fault: str | None = None) -> Path:

@@ -25,7 +25,7 @@ def page(records: Sequence[Record]) -> str:
     commit = ", ".join(sorted({record["commit"] for record in records}))
     seconds = sum(record["rig_wall_s"] + record["diagnose"]["wall_s"] for record in records)
     lines = [HEAD, provenance(commit, seconds), "", f"**{len(vehicles)} vehicles, {hours:.1f} vehicle-hours**", ""]
-    lines += ["## What a vehicle-hour costs", "", "| | CPU time of a vehicle-hour | largest process |", "|---|---|---|"]
+    lines += ["## What a vehicle-hour costs", "", "| | CPU time of a vehicle-hour | largest worker |", "|---|---|---|"]
     rig = sum(record["rig_cpu_s"] for record in records)
     lines.append(f"| the rig, writing the log | {rig / max(hours, 1e-9):.1f} s | |")
     spent = [record["diagnose"] for record in records]

@@ -170,6 +170,13 @@ def test_logs_of_another_file_system(tmp_path: Path) -> None:
     assert outcome.verdict == "fault"
 
 
+def test_a_path_may_be_written_in_several_ways(logs: Path) -> None:
+    one = find_drives([str(logs / "first")])
+    ways = [f"{logs}//first", f"{logs}/first/", f"{logs}/./first", f"{logs}/second/../first", f"{logs}//fir*"]
+    assert [drive.is_folder for drive in one] == [True]
+    assert find_drives(ways) == one
+
+
 def test_a_bundle_for_each_vehicle(logs: Path, tmp_path: Path) -> None:
     shutil.copytree(GOLDEN / "bundle", tmp_path / "bundles" / "a")
     drives = find_drives([str(logs / "first"), str(logs / "short")])
