@@ -65,7 +65,8 @@ def _is_worth_it(text: str, ticks: int, more: int) -> bool:
     if (path := _place(text)).exists():
         return True
     count = path.with_suffix(".ticks")
-    before = int(count.read_text()) if count.exists() else 0
+    said = count.read_text() if count.exists() else ""
+    before = int(said) if said.isdigit() else 0
     if before + ticks + more >= WORTH_IT:
         return True
     if ticks:

@@ -12,6 +12,8 @@ Array = npt.NDArray[np.float64]
 
 SIDE_BY_SIDE = 64
 """Rows of a batch up to which recordings are computed together: a step of 64 takes twice the time of one of 9."""
+MOST_SAMPLES = 2_000_000
+"""Ticks times rows up to which they are: residuals of ten tests are 160 MB then."""
 
 
 class Moves:
@@ -37,7 +39,8 @@ class Moves:
 
 def _moved(bank: Bank, recordings: Sequence[Seen], trials: Sequence[Trial], steps: Array) -> Iterator[dict[int, Array]]:
     every = [{}, *trials]
-    together = max(1, SIDE_BY_SIDE // len(every))
+    longest = max((len(s.z) for s in recordings), default=1)
+    together = max(1, min(SIDE_BY_SIDE, MOST_SAMPLES // longest) // len(every))
     for first in range(0, len(recordings), together):
         some = recordings[first : first + together]
         r = bank.simulate(every * len(some), *_samples(bank, some, steps))

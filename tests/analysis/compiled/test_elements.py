@@ -188,6 +188,15 @@ def test_few_ticks_are_counted_until_compiling_is_worth_it() -> None:
     kernels_of(raw, None, 0, ticks=0)
 
 
+def test_a_damaged_count_begins_anew(tmp_path: Path) -> None:
+    raw = graph(ELEMENTWISE, {})
+    for _ in range(2):
+        with pytest.raises(NotCompiledError, match="few ticks"):
+            kernels_of(raw, None, 0, ticks=WORTH_IT - 1)
+        [count] = (tmp_path / "faultline" / "compiled").glob("*.ticks")
+        count.write_text("half a nu")
+
+
 def test_ticks_that_are_still_to_come_count() -> None:
     raw = graph(ELEMENTWISE, {})
     with pytest.raises(NotCompiledError, match="few ticks"):
