@@ -14,6 +14,7 @@ import numpy as np
 from diagnosis_cases import PLANTS, Case, Set, request, seed_of
 
 from faultline.analysis.calibration.command import main as calibrate
+from faultline.analysis.compiled.decision import NATIVE
 from faultline.analysis.compiled.evaluator import CompiledEvaluator, kernels_of_bundle
 from faultline.analysis.export import main as export
 from faultline.analysis.tuning.command import main as tune
@@ -181,7 +182,8 @@ def sent(case: Case) -> Iterable[Frame]:
 def watched(bundle: Bundle, name: str, drive: Iterable[Frame], native: bool = False) -> Watched:
     """What the vehicle's monitor makes of a log of these frames, without writing one.
 
-    With `native` code for the residuals, which gives the same events, and which networks do not have.
+    The decision's costly parts are native code, and with `native` the residuals, which networks' are not: events are
+    the same.
     """
     manifest, ticks, blind = bundle.manifest, [], []
     alarms: list[tuple[float, str]] = []
@@ -196,7 +198,7 @@ def watched(bundle: Bundle, name: str, drive: Iterable[Frame], native: bool = Fa
         ticks.append(tick)
 
     evaluator = CompiledEvaluator(manifest, kernels_of_bundle(bundle)) if native else bundle.bank()
-    monitor = Monitor(manifest, evaluator, bundle.table, name, bundle.id, watch)
+    monitor = Monitor(manifest, evaluator, bundle.table, name, bundle.id, watch, parts=NATIVE)
     batch = batch_of(LogFrame(f.t, f.frame_id, True, f.data) for f in drive)
     told = list(monitor.signals(CanSignals(bundle.table, lambda: iter([batch]))))
     origin_s = ticks[0].t_s
