@@ -1,7 +1,7 @@
 """Networks for another vehicle, of each test: trained anew, or adapted where that errs clearly less (thesis 8.2.5).
 
 What is held out of a short recording is of the same drive, and hardly tells what other drives will show: of two that
-err alike there, the adapted one errs up to 2.6 times as much as the other on other recordings of the vehicle.
+err alike there, the adapted one erred up to 2.6 times as much on other recordings of four development trucks.
 """
 
 from collections.abc import Callable

@@ -16,7 +16,7 @@ from faultline.service.core.signals.modes import ModeTracker
 
 
 class _Residuals(NamedTuple):
-    """What is evaluated where hypotheses are not."""
+    """Stands in for a manifest where generators are evaluated without hypotheses."""
 
     generators: Sequence[Generator]
     inputs: Sequence[Input]
@@ -35,7 +35,7 @@ def evaluator_of(runnable: Runnable, manifest: Manifest, ticks: int, more: int) 
     Raises:
         InputError: the model divides by parameters that are zero.
     """
-    native = _native(runnable, manifest, manifest.evidence, ticks, more)
+    native = _native(runnable, manifest, ticks, more)
     if native is not None:
         return native
     modes = ModeTracker(manifest.modes, manifest.inputs, manifest.period_s)
@@ -50,14 +50,14 @@ def residuals_of(runnable: Runnable) -> Evaluator:
     """
     model, inputs = runnable.bank.model, runnable.bank.inputs
     what = _Residuals(runnable.generators, inputs, modes_of(model), model.period_s)
-    native = _native(runnable, what, None)
+    native = _native(runnable, what)
     if native is not None:
         return native[0]
     return TickByTick(runnable.fresh(), ModeTracker(what.modes, inputs, model.period_s))
 
 
 def _native(
-    runnable: Runnable, what: Manifest | _Residuals, evidence: Evidence | None, ticks: int = 0, more: int = 0
+    runnable: Runnable, what: Manifest | _Residuals, ticks: int = 0, more: int = 0
 ) -> tuple[Evaluator, Parts] | None:
     if runnable.networks:
         return None
@@ -68,6 +68,7 @@ def _native(
         from faultline.analysis.compiled.kernels import kernels_of
     except ModuleNotFoundError:
         return None
+    evidence = what.evidence
     hypotheses = runnable.of_hypotheses(evidence).get(evidence.graph or "") if evidence else None
     rows = len(evidence.hypotheses) if evidence else 0
     try:

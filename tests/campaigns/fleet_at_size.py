@@ -64,7 +64,7 @@ FAULTS = {name: large for name, (_, large) in frozen().items()}
 
 
 class Spent(NamedTuple):
-    """What a command took: wall clock and CPU time with its workers [s], the largest of them [MiB], its exit code.
+    """Records what a command took: wall clock and CPU time with workers [s], the largest of them [MiB], its exit code.
 
     `killed` are the workers of it that were killed.
     """

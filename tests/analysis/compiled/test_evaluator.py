@@ -33,7 +33,7 @@ APART_PA = 1.0
 
 
 class Alone(NamedTuple):
-    """What an evaluator needs of a manifest, with hypotheses or without."""
+    """Stands in for a manifest, with hypotheses or without."""
 
     generators: list[Generator]
     inputs: list[Input]
