@@ -31,9 +31,14 @@ def check_names(
     return names
 
 
+def is_name(name: str) -> bool:
+    """Whether a name can stand in a formula and in generated code."""
+    return bool(_NAME.fullmatch(name)) and not keyword.iskeyword(name) and name not in FUNCTIONS
+
+
 def check_name(name: str, place: str) -> None:
     """Raises ModelError unless the name can stand in a formula and in generated code."""
-    if not _NAME.fullmatch(name) or keyword.iskeyword(name) or name in FUNCTIONS:
+    if not is_name(name):
         raise ModelError(
             f"{place}: is no name; use letters, digits and _ as in p_tp, no keyword, and no name of a function"
         )

@@ -280,6 +280,8 @@ def _column(name: str, match: Match, table: ValueTable, model: Model) -> list[st
     if not unit and (outside := _outside(table, column, known.unit, known.min, known.max)):
         remark = f"{MARK}: the file says none, and {outside} [{known.min:g}, {known.max:g}] {known.unit}"
         return [f"{_key(name)} = {_map(column, remark)}"]
+    if not unit and not known.unit:
+        return [] if column == name else [f"{_key(name)} = {_quoted(column)}"]
     if not unit:
         remark = f"  # the file names no unit: taken as {known.unit}"
         return [f"{_key(name)} = {_map(column, known.unit)}{remark}"]

@@ -10,9 +10,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from faultline.analysis.recordings.names import names_of
 from faultline.analysis.recordings.offered import SI, of_columns, of_dbc, read_dbc, unit_in_name
 from faultline.analysis.recordings.signatures import name_of, read_signatures
 from faultline.analysis.recordings.track import Track, tracks_of
@@ -68,21 +70,50 @@ def main(argv: list[str]) -> int:
         raise InputError(f"{out}: is there already; give another folder with --out, or --force")
     check_folder(out.parent)
     log = with_units(open_any(options.log))
-    written = _written(log, options.dbc, options.signals)
-    units = {name: _in_si(unit) for name, unit in written.items()}
-    tracks = {name: track for name, track in _tracks(log, options.dbc, units).items() if len(track.t) > 2}
-    if not tracks:
-        raise InputError(f"{options.log}: none of its signals has values: {', '.join(units) or 'give its --dbc'}")
-    signatures = None if options.signatures is None else read_signatures(options.signatures, tracks)
-    model = model_text(options.name, log.id, tracks, units, signatures)
-    files = {"model.toml": model, "system.toml": system_text(tracks, _display(written, units))}
+    signals, left_away = _signals(log, options.log, options.dbc, options.signals)
+    signatures = None
+    if options.signatures is not None:
+        found = read_signatures(options.signatures, [signal.column for signal in signals])
+        signatures = {signal.name: found[signal.column] for signal in signals if signal.column in found}
+    model = model_text(options.name, log.id, signals, signatures)
+    files = {"model.toml": model, "system.toml": system_text(signals)}
     write_files({out / name: text for name, text in files.items()})
-    silent = [name for name in units if name not in tracks]
-    if silent:
-        print(f"without values in the log, and left away: {', '.join(silent)}")
+    for line in left_away:
+        print(line)
     made = ", ".join(str(out / name) for name in files)
     print(f"wrote {made}: fill in what is marked, then `faultline structure {out}`")
     return 0
+
+
+class _Signal(NamedTuple):
+    """A column or a signal of a DBC: its `name` and `unit` in the model, the unit that is `written`, its values."""
+
+    column: str
+    name: str
+    written: str
+    unit: str
+    track: Track
+
+
+def _signals(log: Log, path: Path, dbc: Path | None, wanted: list[str] | None) -> tuple[list[_Signal], list[str]]:
+    """The signals of a log, and lines on those that are left away.
+
+    Raises:
+        InputError: the log has none of the signals.
+    """
+    written = _written(log, dbc, wanted)
+    units = {name: _in_si(unit) for name, unit in written.items()}
+    tracks = {name: track for name, track in _tracks(log, dbc, units).items() if len(track.t) > 2}
+    if not tracks:
+        raise InputError(f"{path}: none of its signals has values: {', '.join(units) or 'give its --dbc'}")
+    silent = [name for name in units if name not in tracks]
+    still = [name for name, track in tracks.items() if np.ptp(track.value) == 0.0] if wanted is None else []
+    moving = {name: track for name, track in tracks.items() if name not in still} or tracks
+    lines = [f"without values in the log, and left away: {', '.join(silent)}"] if silent else []
+    if still and moving is not tracks:
+        lines.append(f"never change in the log, and left away: {', '.join(still)} (--signals names those to keep)")
+    names = names_of(moving)
+    return [_Signal(each, names[each], written[each], units[each], track) for each, track in moving.items()], lines
 
 
 def _written(log: Log, dbc: Path | None, wanted: list[str] | None) -> dict[str, str]:
@@ -96,12 +127,13 @@ def _written(log: Log, dbc: Path | None, wanted: list[str] | None) -> dict[str, 
     return {name: unit for name, unit in written.items() if wanted is None or name in wanted}
 
 
-def _display(written: Mapping[str, str], units: Mapping[str, str]) -> dict[str, str]:
+def _display(signals: Sequence[_Signal]) -> dict[str, str]:
     """By unit of the model the log's, as people know the system by these; of plain numbers by signal."""
     found: dict[str, str] = {}
-    for name, unit in written.items():
-        if plain_unit(unit) not in ("", units[name]) and conversion(unit, units[name]):
-            found.setdefault(f"{name}.display" if units[name] == "1" else units[name], plain_unit(unit))
+    for signal in signals:
+        plain = plain_unit(signal.written)
+        if plain not in ("", signal.unit) and conversion(signal.written, signal.unit):
+            found.setdefault(f"{signal.name}.display" if signal.unit == "1" else signal.unit, plain)
     return found
 
 
@@ -129,8 +161,7 @@ def _tracks(log: Log, dbc: Path | None, units: Mapping[str, str]) -> dict[str, T
 def model_text(
     name: str,
     log: str,
-    tracks: Mapping[str, Track],
-    units: Mapping[str, str],
+    signals: Sequence[_Signal],
     signatures: Mapping[str, Sequence[str]] | None = None,
 ) -> str:
     """The model file: signals as the log has them, and places for the equations, or residuals by their signatures."""
@@ -144,8 +175,8 @@ def model_text(
         f"# Signals, as they were in {log}: ranges and noise are proposals.",
     ]
     given = signatures or {}
-    signals = [_known(signal, track, units[signal], given=signal in given) for signal, track in tracks.items()]
-    return "\n".join(head) + "\n" + "".join(signals) + (_given(given) if given else EQUATIONS)
+    known = [_known(signal, given=signal.name in given) for signal in signals]
+    return "\n".join(head) + "\n" + "".join(known) + (_given(given) if given else EQUATIONS)
 
 
 def _given(signatures: Mapping[str, Sequence[str]]) -> str:
@@ -176,7 +207,8 @@ description = "{MARK}"
 value = "{MARK}"
 source = "{MARK}: datasheet, drawing, guess"
 
-# Equations, each expr = 0 (docs/models.md), and what may fail in them.
+# Equations, each expr = 0 (docs/models.md), and what may fail in them. Where no formula is known,
+# variables = ["a", "b"] in place of expr says what is in it, and networks learn the rest: "As structure only" there.
 
 [[equation]]
 name = "e1"
@@ -197,15 +229,18 @@ derivative = "dx"
 """
 
 
-def _known(name: str, track: Track, unit: str, *, given: bool) -> str:
+def _known(signal: _Signal, *, given: bool) -> str:
     """A signal as it was; a `given` residual may become much larger, as faults move it."""
+    track = signal.track
     low, high = float(track.value.min()), float(track.value.max())
     margin = (BEYOND if given else 0.1) * ((high - low) or abs(high) or 10.0)
     bent = track.value[:-2] - 2.0 * track.value[1:-1] + track.value[2:]
     noise = 1.4826 * float(np.median(np.abs(bent))) / math.sqrt(6.0) or 1e-3 * margin
+    description = "residual of another tool" if given else MARK if signal.name == signal.column else signal.column
+    unit = json.dumps(signal.unit) + ("" if plain_unit(signal.written) else "  # the log says none")
     return (
-        f"\n[known.{name}]  # {len(track.t)} values from {low:.4g} to {high:.4g}, every {track.period_s:.3g} s\n"
-        f'unit = {json.dumps(unit)}\ndescription = "{"residual of another tool" if given else MARK}"\n'
+        f"\n[known.{signal.name}]  # {len(track.t)} values from {low:.4g} to {high:.4g}, every {track.period_s:.3g} s\n"
+        f"unit = {unit}\ndescription = {json.dumps(description, ensure_ascii=False)}\n"
         f"min = {rounded(low - margin, math.floor)}\nmax = {rounded(high + margin, math.ceil)}\n"
         f"noise = {rounded(noise, round)}\n"
     )
@@ -219,9 +254,10 @@ def rounded(value: float, how: Callable[[float], int]) -> str:
     return repr(float(f"{how(value / unit) * unit:.{DIGITS + 1}g}"))
 
 
-def system_text(tracks: Mapping[str, Track], display: Mapping[str, str]) -> str:
+def system_text(signals: Sequence[_Signal]) -> str:
     """The system file: the period of the fastest signal, ages of the others by their own, and units for people."""
-    periods = {name: float(f"{track.period_s:.3g}") for name, track in tracks.items()}
+    display = _display(signals)
+    periods = {signal.name: float(f"{signal.track.period_s:.3g}") for signal in signals}
     fastest = min(max(min(periods.values()), 1e-3), 60.0)
     ages = "".join(f"{name}.maximum_age_s = {PERIODS * max(period, fastest):g}\n" for name, period in periods.items())
     ages += "".join(f"{key} = {json.dumps(unit)}\n" for key, unit in display.items() if key.endswith(".display"))
