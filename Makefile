@@ -77,6 +77,9 @@ campaign-undeclared: .venv/.test  ## faults that no model declares on six vehicl
 campaign-clairvoyant: .venv/.test  ## is the limit one, beside who knows fault, onset and size? half an hour; writes docs/results
 	@$(BIN)/python tests/campaigns/clairvoyant.py
 
+campaign-loops: .venv/.test  ## networks from structure alone where nothing is dynamic, ten loops; ten minutes; writes docs/results
+	@$(BIN)/python tests/campaigns/loops.py
+
 campaign-transfer: .venv/.test  ## networks of the bench on ten trucks, adapted to 2, 5 and 10 minutes; an hour; writes docs/results
 	@$(BIN)/python tests/campaigns/transfer.py
 

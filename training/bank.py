@@ -12,6 +12,7 @@ from faultline.training.free_run import free_run
 from faultline.training.layout import Layout
 from faultline.training.loop import Training
 from faultline.training.samples import Samples
+from faultline.training.unseen import differ
 from faultline.training.variance import cross_fit, variances
 from faultline.training.weights import cells_of
 
@@ -22,6 +23,7 @@ HELD = ".before"
 def networks_of(training: Training, samples: Samples, seed: int) -> Networks:
     """The networks of a training that is over."""
     layout, scaling, trained = training.layout, training.scaling, training.finish()
+    differ(trained, layout, training.windows, seed)
     course = free_run(trained, training.windows)
     spread = variances(layout, training.windows, course, seed)
     cells = cells_of(layout, scaling, trained, spread)

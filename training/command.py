@@ -149,11 +149,11 @@ def _states(generator: Generator) -> int:
 def _table(networks: Networks, model: Model, out: Path) -> str:
     d = networks.description
     where = "where it was held out" if RECIPES[d.recipe].folds else "where it was trained"
-    lines = [f"{'generator':<12}{'predicts':<10}{'states':>7}   free run, RMS error {where}"]
-    lines += [
-        f"{g.name:<12}{g.predicts:<10}{_states(g) // d.members:>7}   {error:.4g} {model.known[g.predicts].unit}"
-        for g, error in zip(d.generators, d.error, strict=True)
-    ]
+    wide = max(len("predicts"), *(len(g.predicts) for g in d.generators)) + 2
+    lines = [f"{'generator':<12}{'predicts':<{wide}}{'states':>7}   free run, RMS error {where}"]
+    for g, error in zip(d.generators, d.error, strict=True):
+        unit = model.known[g.predicts].unit
+        lines.append(f"{g.name:<12}{g.predicts:<{wide}}{_states(g) // d.members:>7}   {error:.4g} {unit}".rstrip())
     size = len(networks.graph) / 1024
     lines.append(f"wrote {out}: {len(d.generators)} generators of {d.members} members, {size:.0f} KiB")
     return "\n".join(lines)

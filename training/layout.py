@@ -80,12 +80,14 @@ class Layout:
 
     def started(self, z: Array) -> Array:
         """What `starts` say of the states (..., F) at samples z (..., nz)."""
-        gain = np.array([[state.gain.get(name, 0.0) for name in self.signals] for state in self.starts])
-        return np.asarray(z @ gain.T + np.array([state.offset for state in self.starts]))
+        gain = np.array([[state.gain.get(name, 0.0) for state in self.starts] for name in self.signals])
+        return np.asarray(z @ gain + np.array([state.offset for state in self.starts]))
 
 
 def layout_of(model: Model, wanted: Sequence[str] | None = None) -> Layout:
-    """The layout of the tests that have integral causality and a state, or of the `wanted` ones of them.
+    """The layout of the tests that have integral causality, or of the `wanted` ones of them.
+
+    Where all formulas are known a test without a state is none: its equations say all that there is to learn.
 
     Raises:
         InputError: a wanted test is none of the model's, or cannot be a network, with the reason; none can.
@@ -94,19 +96,21 @@ def layout_of(model: Model, wanted: Sequence[str] | None = None) -> Layout:
     for name in wanted or ():
         if name not in found:
             raise InputError(f"--tests {name}: {model.name} has no such test; it has {', '.join(found)}")
-        if (reason := _obstacle(found[name])) is not None:
+        if (reason := _obstacle(model, found[name])) is not None:
             raise InputError(f"--tests {name}: cannot be a network: {reason}")
-    tests = [test for name, test in found.items() if isinstance(test, Test) and test.states]
+    tests = [test for test in found.values() if isinstance(test, Test) and _obstacle(model, test) is None]
     chosen = [test for test in tests if wanted is None or test.name in wanted]
     if not chosen:
         raise InputError(f"{model.name}: no test has integral causality and a state: there is no network to train")
     return _layout(model, chosen)
 
 
-def _obstacle(test: object) -> str | None:
+def _obstacle(model: Model, test: object) -> str | None:
     if not isinstance(test, Test):
         return str(getattr(test, "obstacle", "no integral causality"))
-    return None if test.states else "it has no state, its equations alone compute the residual (`faultline code`)"
+    if test.states or model.without_formula:
+        return None
+    return "it has no state, its equations alone compute the residual (`faultline code`)"
 
 
 def _layout(model: Model, tests: Sequence[Test]) -> Layout:
@@ -158,8 +162,8 @@ def nearest_sensor(structure: Structure, test: Test, name: str) -> str:
 
 
 def _padded(rows: Sequence[Sequence[int]], padding: int) -> Columns:
-    width = max(len(row) for row in rows)
-    return np.array([[*row, *[padding] * (width - len(row))] for row in rows], dtype=np.intp)
+    width = max((len(row) for row in rows), default=0)
+    return np.array([[*row, *[padding] * (width - len(row))] for row in rows], dtype=np.intp).reshape(len(rows), width)
 
 
 def _sensed(model: Model, name: str) -> str | None:

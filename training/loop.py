@@ -110,7 +110,8 @@ class Training:
         self.networks.to(device)
         self._near, self._owner = self.windows.to(device), torch.as_tensor(layout.owner, device=device)
         fixed = () if self.networks.outputs.hidden else (self.networks.outputs.first,)  # h is a state: no gain to learn
-        self._parameters = [p for p in self.networks.parameters() if all(p is not other for other in fixed)]
+        learns = [p for p in self.networks.parameters() if p.numel()]  # without states no function says how they move
+        self._parameters = [p for p in learns if all(p is not other for other in fixed)]
         behind = {id(p) for p in self.networks.rates.weights}
         groups = [
             {"params": [p for p in self._parameters if (id(p) in behind) is chosen], "weight_decay": decay}
@@ -287,8 +288,9 @@ class Training:
         for name, now in weights.items():
             # of the functions that are a test's
             mask = better if name.startswith("outputs") else better[:, self._owner]
-            new, old = (value.reshape(*mask.shape, -1) for value in (now, self.best[name]))
-            self.best[name] = torch.where(mask[:, :, None], new, old).reshape(now.shape)
+            if mask.numel():
+                new, old = (value.reshape(*mask.shape, -1) for value in (now, self.best[name]))
+                self.best[name] = torch.where(mask[:, :, None], new, old).reshape(now.shape)
 
     def _stop(self, why: str) -> None:
         self.stopped = f"it diverges, {why}"

@@ -38,10 +38,10 @@ class Networks(nn.Module):
         self.recipe, self.members = recipe, members
         self._period_s = layout.model.period_s
         self.columns = layout.since if recipe.both_ends else layout.rates
-        self.rates = Stack(self.columns.tolist(), members, recipe.hidden, SMALL, layout.padding)
+        self.rates = Stack(self.columns, members, recipe.hidden, SMALL, layout.padding)
         simple = all(layout.direct(t) is not None for t in range(len(layout.tests)))
         hidden = () if simple and not recipe.learns_h else recipe.hidden
-        self.outputs = Stack(layout.outputs.tolist(), members, hidden, SMALL, layout.padding)
+        self.outputs = Stack(layout.outputs, members, hidden, SMALL, layout.padding)
         self.logit = nn.Parameter(torch.full((members, len(layout.states), 1), SPEED))
         self.lowest: Tensor
         self.highest: Tensor

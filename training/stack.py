@@ -11,8 +11,12 @@ import itertools
 from collections.abc import Sequence
 from math import sqrt
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
+
+Columns = npt.NDArray[np.intp]
 
 
 class Stack(nn.Module):
@@ -21,11 +25,9 @@ class Stack(nn.Module):
     `small` is how small the last layer begins: a network then begins as its linear part.
     """
 
-    def __init__(
-        self, columns: Sequence[Sequence[int]], members: int, hidden: Sequence[int], small: float, padding: int
-    ) -> None:
+    def __init__(self, columns: Columns, members: int, hidden: Sequence[int], small: float, padding: int) -> None:
         super().__init__()
-        index = torch.tensor(columns, dtype=torch.long)  # (F, D)
+        index = torch.as_tensor(columns, dtype=torch.long)  # (F, D)
         self.index: Tensor
         self.register_buffer("index", index.reshape(-1), persistent=False)
         self.functions, self.arguments = index.shape
@@ -52,6 +54,8 @@ class Stack(nn.Module):
     def forward(self, columns: Tensor) -> Tensor:
         """The functions' values (M, F, B) at columns (M, C, B)."""
         batch = columns.shape[2]
+        if not self.functions:
+            return columns.new_zeros(self.members, 0, batch)
         a = columns.index_select(1, self.index).reshape(-1, self.arguments, batch)
         both = torch.baddbmm(self.bias, self.first, a)
         out = both[:, :1]
@@ -65,5 +69,5 @@ class Stack(nn.Module):
     def set_linear(self, lin: Tensor, bias: Tensor) -> None:
         """The linear parts (M, F, D) and what they add (M, F)."""
         with torch.no_grad():
-            self.first[:, 0] = lin.reshape(-1, self.arguments)
+            self.first[:, 0] = lin.reshape(len(self.first), self.arguments)
             self.bias[:, 0, 0] = bias.reshape(-1)

@@ -125,7 +125,7 @@ def _alternating(block: Tensor) -> Tensor:
 
 
 def _fitted(columns: Columns, of: Residuals, weight: Tensor) -> Stack:
-    stack = Stack(columns.tolist(), 1, HIDDEN, 0.1, len(of.inputs) - 1)
+    stack = Stack(columns, 1, HIDDEN, 0.1, len(of.inputs) - 1)
     with torch.no_grad():
         whole = of.left[:, weight > 0].abs().quantile(COVERED, dim=1) / NORMAL
         stack.bias[:, 0, 0] = 2.0 * whole.clamp(min=SMALLEST).log()

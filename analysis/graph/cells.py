@@ -91,15 +91,13 @@ def cell_graph(c: Cells) -> bytes:
     outside = np.argsort(np.concatenate([np.tile(c.owner, M), test]), kind="stable")
     every = _scaled(w, w.concat([x, z], axis=1), c, np.argsort(outside), signal)
     old = w.slice(every, 1, 0, M * F)
-    way = _functions(w, every, _columns(c.rates, M, F, M * F), _slowed(c.rates.layers, c.speed))
-    new = w("Add", w("Mul", old, _float(w, 1.0 - c.speed.reshape(1, -1))) if c.relaxes else old, way)
-    new = _bounded(w, new, c.lowest.reshape(1, -1), c.highest.reshape(1, -1))
+    new = _advanced(w, c, old, every) if F else old
     seen, first = (w.concat([new, every], axis=1), 2 * M * F) if c.newest else (every, M * F)
     y = _functions(w, seen, _columns(c.outputs, M, F, first), c.outputs.layers)
     mean, among = _mean(w, y, M, T), _spread(w, y, M, T)
-    centre = _mean(w, new if c.newest else old, M, F)
     known = w.slice(every, 1, M * F, M * F + nz + H + 1)
-    own = w.concat([centre, _mean(w, old, M, F), known], axis=1)
+    centres = [_mean(w, each, M, F) for each in (new if c.newest else old, old)] if F else []
+    own = w.concat([*centres, known], axis=1)
     log_v = _functions(w, own, c.variance.functions.columns, c.variance.functions.layers)
     log_v = _below(w, log_v, np.array(LARGEST_LOG_V))
     sigma = w.cast(w("Sqrt", w("Add", w("Exp", log_v), among)), np.float64)
@@ -113,6 +111,14 @@ def cell_graph(c: Cells) -> bytes:
     held_next = np.concatenate([np.arange(M * F), M * F + signal])
     w.output("x_next", w.gather(after, held_next[outside], 1), ["B", M * F + H])
     return w.model("faultline-rnn")
+
+
+def _advanced(w: Writer, c: Cells, old: str, every: str) -> str:
+    """The states (B, M F) after a tick."""
+    M, F = c.members, len(c.x_offset)
+    way = _functions(w, every, _columns(c.rates, M, F, M * F), _slowed(c.rates.layers, c.speed))
+    new = w("Add", w("Mul", old, _float(w, 1.0 - c.speed.reshape(1, -1))) if c.relaxes else old, way)
+    return _bounded(w, new, c.lowest.reshape(1, -1), c.highest.reshape(1, -1))
 
 
 def _bounded(w: Writer, values: str, lowest: Array, highest: Array) -> str:

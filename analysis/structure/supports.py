@@ -151,6 +151,7 @@ class _Supports:
         self._integral = IntegralCausality(self._structure)
         constraints = sorted(self._structure.constraints.values(), key=lambda c: c.state)
         self._faults = [(fault, self._structure.fault_rows[fault]) for fault in self._structure.faults]
+        self._faulty = {*self._structure.fault_rows.values()}
         self._states = [(self._structure.unknowns[c.state], c.row) for c in constraints]
         self._signals = {row: known for row, known in enumerate(self._structure.known_rows) if known}
 
@@ -170,8 +171,7 @@ class _Supports:
         if len(rows) - union(masks).bit_count() == 1:
             return [[*rows]]
         sets = ([*itertools.compress(rows, flags)] for flags in minimal_sets(masks, range(len(rows)), MOST_SETS))
-        faulty = {*self._structure.fault_rows.values()}
-        return [chosen for chosen in sets if not faulty.isdisjoint(chosen)]
+        return [chosen for chosen in sets if not self._faulty.isdisjoint(chosen)]
 
     def _described(self, number: int, rows: Sequence[int], obstacle: str | None) -> Support:
         structure, inside = self._structure, {*rows}
@@ -192,10 +192,7 @@ class _Supports:
         if not forward:
             return "no residual equation has integral causality"
         obstacle = f"no sensor is predicted by {', '.join(forward)}, which alone have integral causality"
-        for residual in forward:
-            signal = self._signal(residual)
-            if signal is None:
-                continue
+        for residual, signal in self._outputs(rows, forward):
             order = solving_order(self._structure, [self._structure.equations[row] for row in rows], residual)
             hindered = self._hindered(order)
             if hindered is None:
@@ -204,6 +201,33 @@ class _Supports:
                 return Test(**vars(support), residual=residual, predicts=signal, sequence=sequence)
             obstacle = f"with residual {residual}, {hindered}"
         return obstacle
+
+    def _outputs(self, rows: Sequence[int], forward: Sequence[str]) -> list[tuple[str, str]]:
+        """The residual equations that predict a signal, with that signal, the one to be taken first.
+
+        Without states and formulas a function of all other signals is to be learnt. What moves one of these in a way
+        that was never seen says nothing, so that sensors that a fault reaches go first. A sensor is what is in one
+        equation only, with one unknown; what is in one with several, as a command, goes last.
+        """
+        found = [(each, signal) for each in forward if (signal := self._signal(each)) is not None]
+        if any(row in rows for _, row in self._states) or not all(map(self._is_free, rows)):
+            return found
+        own = [(each, signal) for each in forward if (signal := self._own(each)) is not None]
+        sensors = [pair for pair in own if len(self._structure.unknowns_in([pair[0]])) == 1]
+        sensors.sort(key=lambda pair: self._structure.row[pair[0]] not in self._faulty)
+        return list(dict.fromkeys([*sensors, *found, *own]))
+
+    def _is_free(self, row: int) -> bool:
+        """Whether an equation has no formula."""
+        model = self._model
+        return isinstance(model, Structure) or bool(model.equations[self._structure.equations[row]].variables)
+
+    def _own(self, equation: str) -> str | None:
+        """The one signal of an equation that is in no other."""
+        row = self._structure.row[equation]
+        others = union(mask for other, mask in self._signals.items() if other != row)
+        own = [*bits(self._structure.known_rows[row] & ~others)]
+        return self._structure.known[own[0]] if len(own) == 1 else None
 
     def _hindered(self, order: list[list[tuple[str, str]]]) -> str | None:
         """What stands against solving the equations in this order, each for its variable and with one solution only."""

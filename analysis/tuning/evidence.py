@@ -15,6 +15,7 @@ from faultline.analysis.graph.bank import FAULTS, Bank, Trial
 from faultline.analysis.graph.independence import independent
 from faultline.analysis.graph.runnable import trial_of
 from faultline.analysis.tuning.assumed import biases_of, consequences_of, hypotheses_of, sizes_of
+from faultline.analysis.tuning.few import ranked_few
 from faultline.analysis.tuning.moves import Moves
 from faultline.analysis.tuning.prior import Known
 from faultline.analysis.tuning.statistics import of_drive
@@ -52,6 +53,8 @@ def gather(
     apart: Sequence[Seen] | None = None,
     known: Known | None = None,
     moves: Moves | None = None,
+    *,
+    few: bool = False,
 ) -> tuple[Evidence, list[float]]:
     """Return the evidence of a bundle, and the sizes of the drifts that the model names, in parts of what it says.
 
@@ -60,13 +63,15 @@ def gather(
     `offset` (T, modes) is where the residuals lie without a fault. `apart` are the same recordings, each centred by the
     others of its vehicle: how far a drive strays is seen in them, as a drive that has been centred by itself too
     strays less. `known` is what a fleet teaches of the vehicle: then drives, visits and ticks stray by that and by
-    what these recordings add. `moves` are those of the recordings, where they are needed again.
+    what these recordings add. `moves` are those of the recordings, where they are needed again. `few`: ranking looks at
+    no more tests without states than their equations have redundancy.
     """
     moves = moves or Moves()
     described = list(stand_ins)
     within = [_centred(s, offset) for s in recordings]
     spread = np.maximum(_spread(within, described), bank.sigma / 2)  # (modes, T)
-    rows = independent(np.concatenate([_standard(s, spread) for s in within]))
+    standard = np.concatenate([_standard(s, spread) for s in within])
+    rows = ranked_few(bank, standard) if few else independent(standard)
     order = [*rows, *(row for row in range(len(bank.generators)) if row not in rows)]  # followers are behind
     K, everywhere, around = len(rows), spread[:, order], offset[order].T  # (modes, T)
     spread, offset = everywhere[:, :K], around[:, :K]

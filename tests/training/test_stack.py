@@ -1,5 +1,6 @@
 """Networks side by side are each the network that its formula says."""
 
+import numpy as np
 import torch
 
 from faultline.training.stack import Stack
@@ -7,7 +8,7 @@ from faultline.training.stack import Stack
 
 def test_each_function_is_its_own_network() -> None:
     torch.manual_seed(1)
-    stack = Stack([[0, 2, 5], [1, 3, 4]], members=2, hidden=(4, 3), small=1.0, padding=5)
+    stack = Stack(np.array([[0, 2, 5], [1, 3, 4]]), members=2, hidden=(4, 3), small=1.0, padding=5)
     columns = torch.randn(2, 6, 7)
     columns[:, 5] = 0.0
     found = stack(columns)
@@ -23,7 +24,7 @@ def test_each_function_is_its_own_network() -> None:
 
 
 def test_a_stack_without_hidden_layers_is_linear() -> None:
-    stack = Stack([[0, 1]], members=1, hidden=(), small=1.0, padding=2)
+    stack = Stack(np.array([[0, 1]]), members=1, hidden=(), small=1.0, padding=2)
     stack.set_linear(torch.tensor([[[2.0, -1.0]]]), torch.tensor([[0.5]]))
     columns = torch.tensor([[[1.0, 3.0], [2.0, 1.0], [0.0, 0.0]]])
     assert stack(columns).tolist() == [[[0.5, 5.5]]]

@@ -1,0 +1,141 @@
+"""A test without a state needs no formula either: its network is a function of the signals of the moment."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+from faultline.analysis.export import main as export
+from faultline.analysis.graph.network_bank import network_bank
+from faultline.analysis.graph.networks import load_networks
+from faultline.analysis.model import load_model
+from faultline.analysis.tuning.command import main as tune
+from faultline.analysis.tuning.few import ranked_few
+from faultline.service.core.errors import InputError
+from faultline.service.core.residuals.generators import Graph
+from faultline.service.diagnose.command import main as diagnose
+from faultline.training.command import main as train
+from faultline.training.layout import layout_of
+from faultline.training.recipe import DEFAULT, Phase
+from faultline.training.unseen import UNSEEN, left_open
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "campaigns"))
+from pump_loop import MODEL, SIZES, Array, samples, written
+
+QUICK = replace(DEFAULT, hidden=(12,), phases=(Phase(4, 0, 64, 150),))
+
+LOOP = 1
+"""Of development."""
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("loop") / "loop.toml"
+    path.write_text(MODEL)
+    return path
+
+
+def trained(folder: Path, model: Path, values: Array) -> Path:
+    """Networks of a recording of these values."""
+    training = written(folder / "training", model, values, LOOP)
+    with patch.dict("faultline.training.command.RECIPES", {"default": QUICK}):
+        assert train([str(model), str(training), "--out", str(folder / "networks")]) == 0
+    return folder / "networks"
+
+
+@pytest.fixture(scope="module")
+def networks(model: Path) -> Path:
+    return trained(model.parent, model, samples(LOOP, 1, 1200))
+
+
+def test_networks_of_static_tests_alone_isolate_a_fault(
+    model: Path, networks: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = model.parent
+    drives = [written(folder / f"drive-{seed}", model, samples(LOOP, seed, 900), LOOP) for seed in (2, 3)]
+    given = [str(model), "--networks", str(networks)]
+    assert tune([*given, *map(str, drives), "--out", str(folder / "tuning.json")]) == 0
+    assert export([*given, "--tuning", str(folder / "tuning.json"), "--out", str(folder / "bundle")]) == 0
+    for seed, fault in enumerate(("", "f_y_q", "f_pump", "f_rotor"), start=4):
+        values = samples(LOOP, seed, 900, fault, 2.5 * SIZES.get(fault, 0.0), 400)
+        drive = written(folder / f"judged-{seed}", model, values, LOOP)
+        capsys.readouterr()
+        assert diagnose([str(drive), "--bundle", str(folder / "bundle"), "--json"]) == bool(fault)
+        events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        told = [event for event in events if event["diagnoses"]]
+        assert all(event["t_s"] > 400.0 for event in told)
+        named = [each["faults"] for each in told[-1]["diagnoses"] if each["rank"] == 1] if told else []
+        assert not fault or any(fault in faults for faults in named)  # alone or in a pair
+
+
+def test_few_tests_are_as_many_as_the_redundancy_and_reach_every_fault(model: Path, networks: Path) -> None:
+    """Seven equations less three unknowns leave four directions; three tests of six equations have three."""
+    bank = network_bank(load_model(model), load_networks(networks, load_model(model)))
+    for seed in range(5):
+        rows = ranked_few(bank, np.random.default_rng(seed).normal(size=(500, len(bank.generators))))
+        assert len(rows) == 4
+        assert {fault for row in rows for fault in bank.generators[row].faults} == {*SIZES}
+
+
+def test_sigma_grows_where_signals_do_not_move_together_any_more(model: Path, networks: Path, tmp_path: Path) -> None:
+    """With a valve that never moved speed tells flow, and what each does by itself was not seen."""
+    tied, free = samples(LOOP, 8, 300, valve=False), samples(LOOP, 8, 300)
+
+    def grown(folder: Path, usual: Array) -> Array:
+        graph = Graph(load_networks(folder, load_model(model)).graph)
+        inside, outside = (graph(z=z, x=np.zeros((len(z), 0)))[2] for z in (usual, free))
+        return np.asarray(np.median(outside, axis=0) / np.median(inside, axis=0))
+
+    assert np.median(grown(trained(tmp_path, model, samples(LOOP, 1, 1200, valve=False)), tied)) > 2.0
+    assert np.median(grown(networks, samples(LOOP, 9, 300))) < 1.2
+
+
+def test_of_a_prior_is_left_what_did_not_move_by_itself() -> None:
+    rng = np.random.default_rng(0)
+    a, b = rng.uniform(-1.7, 1.7, (2, 2000))
+    noise = 0.2 * rng.normal(size=2000)
+    free = left_open(np.column_stack([a, b]), np.zeros(2))
+    assert np.abs(free).max() < 2.0 * UNSEEN**2
+    for follows, of_follows in ((a, 0.0), (a + 0.2 * a**2, 0.0), (a + noise, 0.2)):
+        tied = left_open(np.column_stack([a, follows]), np.array([0.0, of_follows]))
+        assert np.trace(tied) > 0.5
+
+
+def test_where_formulas_are_known_a_static_test_is_computed_by_them(tmp_path: Path) -> None:
+    text = """
+schema = 1
+name = "twice"
+[known.y_1]
+unit = "m"
+min = 0.0
+max = 1.0
+noise = 0.001
+[known.y_2]
+unit = "m"
+min = 0.0
+max = 1.0
+noise = 0.001
+[unknown.h]
+unit = "m"
+[[equation]]
+name = "e1"
+expr = "y_1 - h"
+[equation.fault]
+name = "f_y_1"
+component = "sensor"
+description = "biased"
+enters = "h -> h + f_y_1"
+sizes = [0.1]
+[[equation]]
+name = "e2"
+expr = "y_2 - h"
+"""
+    file = tmp_path / "model.toml"
+    file.write_text(text)
+    for wanted, message in ((None, "there is no network to train"), (["t01"], "its equations alone compute the resid")):
+        with pytest.raises(InputError, match=message):
+            layout_of(load_model(file), wanted)
