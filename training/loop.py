@@ -237,10 +237,14 @@ class Training:
                 continue
             square.index_add_(1, test, parameter.grad.reshape(members, len(test), -1).pow(2).sum(dim=2))
         scale = (self.recipe.clip / square.sqrt().clamp(min=1e-12)).clamp(max=1.0)
+        outputs = self.networks.outputs
+        learnt = {id(p) for p in outputs.parameters() if p is not outputs.bias}
         for parameter, test in self._owned():
             if parameter.grad is None:
                 continue
-            parameter.grad.view(members, len(test), -1).mul_(scale[:, test, None])
+            grad = parameter.grad.view(members, len(test), -1).mul_(scale[:, test, None])
+            if id(parameter) in learnt:  # where h is a state there is an offset to learn, and no more
+                grad[:, self.networks.direct] = 0.0
 
     def _owned(self) -> list[tuple[Tensor, Tensor]]:
         """The parameters, each with the test of each of its functions."""

@@ -42,6 +42,11 @@ class Networks(nn.Module):
         simple = all(layout.direct(t) is not None for t in range(len(layout.tests)))
         hidden = () if simple and not recipe.learns_h else recipe.hidden
         self.outputs = Stack(layout.outputs, members, hidden, SMALL, layout.padding)
+        self.direct = [t for t in range(len(layout.tests)) if layout.direct(t) is not None and not recipe.learns_h]
+        if hidden:  # beside functions that are learnt a state stays what it is
+            with torch.no_grad():
+                for last in (self.outputs.weights[-1], self.outputs.biases[-1]):
+                    last.view(members, len(layout.tests), -1)[:, self.direct] = 0.0
         self.logit = nn.Parameter(torch.full((members, len(layout.states), 1), SPEED))
         self.lowest: Tensor
         self.highest: Tensor

@@ -20,7 +20,9 @@ from faultline.service.core.residuals.generators import Graph
 from faultline.service.diagnose.command import main as diagnose
 from faultline.training.command import main as train
 from faultline.training.layout import layout_of
+from faultline.training.loop import Training
 from faultline.training.recipe import DEFAULT, Phase
+from faultline.training.samples import Samples, Stretch
 from faultline.training.unseen import UNSEEN, left_open
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "campaigns"))
@@ -139,3 +141,37 @@ expr = "y_2 - h"
     for wanted, message in ((None, "there is no network to train"), (["t01"], "its equations alone compute the resid")):
         with pytest.raises(InputError, match=message):
             layout_of(load_model(file), wanted)
+
+
+def test_beside_static_tests_a_measured_state_is_predicted_as_it_is(tmp_path: Path) -> None:
+    warms = """
+[known.y_T]
+[unknown.T]
+[unknown.dT]
+[[equation]]
+name = "e8"
+variables = ["dT", "T", "i"]
+[[equation]]
+name = "e9"
+variables = ["y_T", "T"]
+fault = {name = "f_y_T", component = "thermometer"}
+[[differential]]
+name = "e10"
+state = "T"
+derivative = "dT"
+[edges]"""
+    file = tmp_path / "model.toml"
+    file.write_text(MODEL.replace("[edges]", warms))
+    layout = layout_of(load_model(file))
+    z = samples(LOOP, 1, 700)
+    warmth = np.convolve(z[:, 4], np.exp(-np.arange(60) / 10.0) / 10.0)[: len(z)]
+    stretch = Stretch("made", np.column_stack([z, warmth])[60:], 0.0)
+    held = Samples(layout.signals, (stretch,), ("",), None, 640.0)
+    training = Training(layout, held, replace(QUICK, phases=(Phase(4, 0, 32, 20),)), seed=0)
+    training.run(lambda _: None, lambda: None)
+    outputs, direct = training.finish().outputs, [bool(test.states) for test in layout.tests]
+    assert 0 < sum(direct) < len(direct)
+    last = outputs.weights[-1].view(outputs.members, outputs.functions, -1)
+    assert [bool((last[:, t] == 0.0).all()) for t in range(len(direct))] == direct
+    gain = outputs.first.view(outputs.members, outputs.functions, -1, outputs.arguments)[:, direct, 0]
+    assert ((gain != 0.0).sum(dim=2) == 1).all()
