@@ -57,7 +57,7 @@ class _Files(NamedTuple):
 
     bus: _Bus | None
     table: ValueTable | None
-    time: str | None
+    time: str | float | None
 
     @property
     def first(self) -> Path:
@@ -82,7 +82,9 @@ def main(argv: list[str]) -> int:
     if path.exists() and not options.force:
         raise InputError(f"{path}: is there already; give --force to write it anew, or another folder with --out")
     model = None if options.system is None else load_model(options.system)
-    files = _files(options.log, options.table, options.dbc, model, options.time)
+    if options.period is not None and (options.time is not None or not 0.0 < options.period < float("inf")):
+        raise InputError(f"--period {options.period:g}: a positive number of seconds, and no --time, is wanted")
+    files = _files(options.log, options.table, options.dbc, model, options.period or options.time)
     said = {name: getattr(options, name) for name in ("id", "vehicle", "source", "cycle")}
     text = recording_text(files, model, out, said)
     check_file(path)
@@ -106,6 +108,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--time", metavar="COLUMN", help="the column of the table's times, where its name tells nothing"
     )
+    parser.add_argument("--period", type=float, metavar="S", help="seconds from row to row of a table without times")
     parser.add_argument("--out", type=Path, metavar="DIR", help="the recording's folder (that of the log)")
     parser.add_argument("--id", help="the recording's name, as no other one has it (that of the file or folder)")
     parser.add_argument("--vehicle", help="which vehicle, machine or house it is of")
@@ -115,7 +118,7 @@ def _parser() -> Parser:
     return parser
 
 
-def _files(log: Path, table: Path | None, dbc: Path | None, model: Model | None, time: str | None) -> _Files:
+def _files(log: Path, table: Path | None, dbc: Path | None, model: Model | None, time: str | float | None) -> _Files:
     """Open the files.
 
     Raises:
@@ -138,11 +141,14 @@ def _files(log: Path, table: Path | None, dbc: Path | None, model: Model | None,
     return _Files(_bus(log, opened, dbc, wanted), beside, time)
 
 
-def _table(path: Path, time: str | None, start_s: float | None = None) -> ValueTable:
+def _table(path: Path, time: str | float | None, start_s: float | None = None) -> ValueTable:
     """The table in a file."""
     file = find_table_file(Source(path), time)
     if file is None:
-        raise InputError(f"{path}: no table of values with a column of times; name that column with --time")
+        raise InputError(
+            f"{path}: no table of values with a column of times; name that column with --time, or give --period where "
+            "rows have none"
+        )
     return open_table(str(path), file, start_s=start_s)
 
 
@@ -243,7 +249,7 @@ def _table_lines(
     yield f"# Columns: {', '.join(offer.shown for offer in of_columns(table.file.units))}"
     yield from ("[table]", f"file = {_path(Path(table.where), folder)}")
     if files.time is not None:
-        yield f"time = {_quoted(files.time)}"
+        yield f"period_s = {files.time!r}" if isinstance(files.time, float) else f"time = {_quoted(files.time)}"
     yield from _offset(files, table)
     lines = []
     for name, match in matches.items():

@@ -7,6 +7,7 @@ from pathlib import Path
 from faultline.service.core.signals.dbc import NO_BUSES
 from faultline.service.logs.batch import Batch
 from faultline.service.logs.candump import EXAMPLE
+from faultline.service.logs.delimited import find_table
 from faultline.service.logs.formats import Format, format_of
 from faultline.service.logs.log import Log
 from faultline.service.logs.pieces import Source
@@ -15,6 +16,7 @@ from faultline.service.logs.recording import Columns, Recording, load_recording
 from faultline.service.logs.report import Frame, LogError, LogReport
 from faultline.service.logs.tables.find import find_table_file, is_mf4
 from faultline.service.logs.tables.table import ValueTable, open_table
+from faultline.service.logs.tables.text import find_header
 
 
 def open_log(path: Path, channel: str | None = None, buses: Mapping[str, str] = NO_BUSES) -> Log:
@@ -105,11 +107,11 @@ def _recorded(folder: Path, recording: Recording, channel: str | None) -> Log:
 
 def _table(folder: Path, columns: Columns, start_s: float | None) -> ValueTable:
     path = folder / columns.file
-    file = find_table_file(Source(path), columns.time)
+    file = find_table_file(Source(path), columns.period_s or columns.time)
     if file is None:
         raise LogError(
             f"{path}: no table of values with a column of times was found; name the column with `time` under [table] "
-            "in recording.toml"
+            "in recording.toml, or give `period_s` where rows have none"
         )
     return open_table(str(path), file, columns.maps, columns.offset_s, start_s)
 
@@ -137,8 +139,14 @@ def _no_frame(log: Log) -> str:
     if report.channels:
         there = ", ".join(each for each in report.channels if each)
         return f"has no frame of channel {log.channel}; " + (f"it has {there}" if there else "it names no channels")
+    head = log.source.head
+    if find_table(head) is None and find_header(head, 1.0) is not None and find_header(head) is None:
+        return (
+            "a table of values without a column of times; describe it with `faultline ingest --init`: name that column "
+            "with --time, or the seconds from row to row with --period"
+        )
     if name.startswith("candump"):
-        return _no_candump(log.source.head, report)
+        return _no_candump(head, report)
     reason = f"{report.unit} {report.places[0][0]}: {report.places[0][1]}" if report.places else report.missing
     return f"no frame could be read ({reason or 'it holds none'}); is it really a {name} log?"
 

@@ -68,13 +68,15 @@ def is_simulated(source: str) -> bool:
 class Columns(_Part, frozen=True):
     """A table of values (CSV, Parquet, MF4), relative to the folder: which columns are signals, and its clock.
 
-    `time` names the column of the times, where its name does not say so. `signals` give the column by the signal's
-    name; without an entry a column is the signal of its own name. Log time = `offset_s` + the table's time; without it
-    the table's clock is that of the CAN log beside it, or begins with its own first row.
+    `time` names the column of the times, where its name does not say so; where there is none `period_s` lies between
+    two rows. `signals` give the column by the signal's name; without an entry a column is the signal of its own name.
+    Log time = `offset_s` + the table's time; without it the table's clock is that of the CAN log beside it, or begins
+    with its own first row.
     """
 
     file: str
     time: str | None = None
+    period_s: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
     offset_s: float | None = None
     signals: dict[str, str | ColumnMap] = {}
 

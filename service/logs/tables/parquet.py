@@ -9,7 +9,7 @@ from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs.parquet import COLUMNS
 from faultline.service.logs.pieces import Source
 from faultline.service.logs.report import LogError, LogReport
-from faultline.service.logs.tables.rows import TIME_UNITS, TableRows, distinct, is_time, title
+from faultline.service.logs.tables.rows import TableRows, distinct, is_time, per_second, title
 
 if TYPE_CHECKING:
     import pyarrow
@@ -26,7 +26,7 @@ class ParquetTable:
     def __init__(self, source: Source, units: Mapping[str, str], columns: Mapping[str, str], time: str) -> None:
         """`columns` are the names in the file, by those without units; `time` is the file's."""
         self._source, self._columns, self._time = source, columns, time
-        self._per_s = TIME_UNITS.get(units[time], 1.0)
+        self._per_s = per_second(time, units[time])
         self.units = {name: unit for name, unit in units.items() if name != time}
 
     def streams(self, names: Collection[str], report: LogReport) -> Sequence[Iterator[TableRows]]:

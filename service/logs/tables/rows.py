@@ -67,8 +67,18 @@ def distinct(names: Sequence[str]) -> list[str]:
 def is_time(name: str) -> bool:
     """True of a column's name that says that it is the time.
 
-    >>> [is_time(name) for name in ("time_exp", "Timestamp", "t", "torque", "log_s")]
-    [True, True, True, False, True]
+    >>> [is_time(name) for name in ("time_exp", "Timestamp", "t", "torque", "log_s", "t_ms")]
+    [True, True, True, False, True, True]
     """
     plain = re.sub(r"[\s_]", "", name.lower())
-    return plain in _TIMES or plain.startswith("time")
+    front, _, unit = name.rpartition("_")
+    return plain in _TIMES or plain.startswith("time") or (front in _TIMES and unit in TIME_UNITS and unit != "min")
+
+
+def per_second(name: str, unit: str) -> float:
+    """Return how many units of a time are in a second, by its unit, or what its name ends with; 1.0 if none says it.
+
+    >>> per_second("t", "ms"), per_second("time_us", ""), per_second("t", "")
+    (1000.0, 1000000.0, 1.0)
+    """
+    return TIME_UNITS.get(unit or name.rpartition("_")[2], 1.0)

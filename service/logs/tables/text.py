@@ -1,15 +1,17 @@
 """A table as text: a header with the columns' names, then rows (CSV with a comma, a semicolon or a tab).
 
 Units are in brackets behind the names or in a line of their own below them. With another delimiter than a comma,
-numbers may have a decimal comma. Times are seconds, or in the header's unit, or dates (ISO 8601; UTC without a zone).
+numbers may have a decimal comma. Times are seconds, or in the header's unit, or dates (ISO 8601, 31.1.2026 12:00:00 or
+2026/1/31 12:00:00; UTC without a zone).
 """
 
 import csv
+import re
 from collections.abc import Collection, Iterator, Sequence
 from datetime import UTC, datetime
 from datetime import time as day_time
 from io import StringIO
-from math import inf, nan
+from math import inf, isfinite, nan
 from typing import NamedTuple
 
 import numpy as np
@@ -18,16 +20,25 @@ from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs.delimited import find_table
 from faultline.service.logs.pieces import Source
 from faultline.service.logs.report import LogError, LogReport, shown
-from faultline.service.logs.tables.rows import TIME_UNITS, TableRows, distinct, is_time, title
+from faultline.service.logs.tables.rows import TableRows, distinct, is_time, per_second, title
 
 _HEAD_LINES = 20
 _LONGEST_LINE = 1 << 20
 _DELIMITERS = (",", ";", "\t")
+_DATE = re.compile(
+    r"(?:(?P<day>\d{1,2})\.(?P<month>\d{1,2})\.(?P<year>\d{4})|(?P<y>\d{4})/(?P<m>\d{1,2})/(?P<d>\d{1,2}))"
+    r"(?:[ T]+(?P<rest>\d.+))?"
+)
+"""Dates with the day first have dots: with strokes it may as well be the month."""
+_TRUTH = {"true": 1.0, "false": 0.0}
 _NOTHING = frozenset(("", "-", "--", "nan", "null", "none", "na", "n/a", "#n/a"))
 
 
 class TableHeader(NamedTuple):
-    """A header: its line (from 1), the delimiter, titles, units, the number of the times, and the first row's line."""
+    """A header: its line (from 1), the delimiter, titles, units, the number of the times, and the first row's line.
+
+    Where there are no times it is -1, and `period_s` lies between two rows.
+    """
 
     line: int
     delimiter: str
@@ -35,12 +46,13 @@ class TableHeader(NamedTuple):
     units: list[str]
     time: int
     first: int
+    period_s: float = 0.0
 
 
-def find_header(head: bytes, time: str | None = None) -> TableHeader | None:
+def find_header(head: bytes, time: str | float | None = None) -> TableHeader | None:
     """Return the header of a table in the first bytes of a file; None where it is none, or one of CAN frames.
 
-    `time` names the column of the times, which is else known by its name.
+    `time` names the column of the times, which is else known by its name; a number is the seconds from row to row.
 
     Raises:
         LogError: there is such a column, and what it holds is no time; the message does not name the file.
@@ -51,6 +63,10 @@ def find_header(head: bytes, time: str | None = None) -> TableHeader | None:
     for number, line in enumerate(lines[:_HEAD_LINES]):
         for delimiter in (each for each in _DELIMITERS if each in line):
             cells = _cells(line, delimiter)
+            if isinstance(time, float):
+                if len(cells) > 1 and (found := _counted(lines[number:], number + 1, delimiter, time)) is not None:
+                    return found
+                continue
             at = [k for k, cell in enumerate(cells) if (title(cell)[0] == time if time else is_time(title(cell)[0]))]
             if len(cells) < 2 or not at:
                 continue
@@ -61,7 +77,19 @@ def find_header(head: bytes, time: str | None = None) -> TableHeader | None:
             if not unread and rows and len(rows[-1]) == len(cells):
                 unread = f"line {number + len(rows) + 1}: {rows[-1][at[0]]!r} in column {title(cells[at[0]])[0]!r}"
     if unread:
-        raise LogError(f"{unread} is no time; give seconds, or dates as 2026-01-31T12:00:00")
+        raise LogError(f"{unread} is no time; give seconds, or dates as 2026-01-31T12:00:00 or 31.01.2026 12:00:00")
+    return None
+
+
+def _counted(lines: Sequence[str], number: int, delimiter: str, period_s: float) -> TableHeader | None:
+    """The header whose line, the first of these, is of words and has a row with numbers below, or below its units."""
+    cells, *rows = [_cells(each, delimiter) for each in lines[:3]]
+    if any(isfinite(_value(cell, delimiter)) for cell in cells):
+        return None
+    for skipped, row in enumerate(rows):
+        if len(row) == len(cells) and any(isfinite(_value(cell, delimiter)) for cell in row):
+            header = _header(number, delimiter, cells, rows[0] if skipped else None, -1)
+            return header._replace(period_s=period_s)
     return None
 
 
@@ -111,8 +139,8 @@ class _Parser:
 
     def __init__(self, header: TableHeader, names: Sequence[str], report: LogReport) -> None:
         self._header, self._names, self._report = header, names, report
-        self._use = [header.time, *(header.names.index(name) for name in names)]
-        self._unit = TIME_UNITS.get(header.units[header.time], 1.0)
+        self._use = [max(header.time, 0), *(header.names.index(name) for name in names)]
+        self._unit = 1.0 if header.period_s else per_second(header.names[header.time], header.units[header.time])
         self.line = 1
 
     def rows(self, text: bytes) -> TableRows:
@@ -124,13 +152,13 @@ class _Parser:
             text = text.split(b"\n", skipped)[skipped]
             begin, count = begin + skipped, count - skipped
         lines = text.decode("utf-8", "replace")
-        table = self._at_once(lines, count)
+        table = self._at_once(lines, begin, count)
         if table is None:
             table = self._one_by_one(lines.split("\n")[:-1], begin)
         return TableRows(table[:, 0], {name: table[:, k + 1] for k, name in enumerate(self._names)})
 
-    def _at_once(self, text: str, count: int) -> FloatArray | None:
-        """Return the cells (N, 1 + n), if all are numbers; else None."""
+    def _at_once(self, text: str, begin: int, count: int) -> FloatArray | None:
+        """Return the cells (N, 1 + n) from the line `begin` on, if all are numbers; else None."""
         header = self._header
         if text.count(header.delimiter) != count * (len(header.names) - 1) or not count:
             return None
@@ -142,6 +170,9 @@ class _Parser:
             return None
         if len(found) != count or not np.isfinite(found[:, 0]).all():
             return None
+        if header.period_s:
+            found[:, 0] = header.period_s * np.arange(begin - header.first, begin - header.first + count)
+            return found
         found[:, 0] /= self._unit if self._unit != 1.0 else unit_of_dates(float(found[-1, 0]))
         return found
 
@@ -156,11 +187,18 @@ class _Parser:
             if len(cells) != len(header.names):
                 reason = f"{len(cells)} cells, the header has {len(header.names)}: {shown(raw)}"
                 self._report.reject(number, reason, len(raw) + 1)
-            elif (t := _time_s(cells[header.time], header.delimiter, self._unit)) is None:
+            elif (t := self._time(cells, number)) is None:
                 self._report.reject(number, f"no time: {shown(raw)}", len(raw) + 1)
             else:
                 found.append([t, *(_value(cells[k], header.delimiter) for k in self._use[1:])])
         return np.array(found, np.float64).reshape(-1, len(self._use))
+
+    def _time(self, cells: Sequence[str], number: int) -> float | None:
+        """The time of a row [s]: by its line where none is in it."""
+        header = self._header
+        if header.period_s:
+            return header.period_s * (number - header.first)
+        return _time_s(cells[header.time], header.delimiter, self._unit)
 
 
 def unit_of_dates(t: float) -> float:
@@ -190,7 +228,15 @@ def _time_s(cell: str, delimiter: str, unit: float = 1.0) -> float | None:
 
 
 def _date_s(cell: str) -> float | None:
-    """Return a date, or the time of a day, in seconds; None where it is neither."""
+    """Return a date, or the time of a day, in seconds; None where it is neither.
+
+    >>> _date_s("31.1.1970 9:00:00,5") == _date_s("1970/01/31 09:00:00.5") == _date_s("1970-01-31T09:00:00.5")
+    True
+    """
+    if match := _DATE.fullmatch(cell):
+        day, month, year = match.group("day", "month", "year") if match["day"] else match.group("d", "m", "y")
+        rest = match["rest"] or "00:00"
+        cell = f"{year}-{int(month):02}-{int(day):02}T{rest if rest[1] != ':' else f'0{rest}'}"
     try:
         date = datetime.fromisoformat(cell)
     except ValueError:
@@ -202,14 +248,14 @@ def _date_s(cell: str) -> float | None:
 
 
 def _value(cell: str, delimiter: str) -> float:
-    """Return a number; NaN where the cell is empty, infinity where it holds something else."""
+    """Return a number, or 1 or 0 of a truth; NaN where the cell is empty, infinity where it holds something else."""
     try:
         return float(cell.replace(",", ".") if delimiter != "," else cell)
     except ValueError:
-        return nan if cell.lower() in _NOTHING else inf
+        return _TRUTH.get(cell.lower(), nan if cell.lower() in _NOTHING else inf)
 
 
-def text_table(source: Source, time: str | None = None) -> TextTable | None:
+def text_table(source: Source, time: str | float | None = None) -> TextTable | None:
     """Return the table that a text file holds; None where it holds none, or CAN frames.
 
     Raises:

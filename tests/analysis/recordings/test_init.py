@@ -52,6 +52,17 @@ def test_a_log_with_the_dbc_that_fits_best_is_a_recording(drive: Path, capsys: p
     assert values(drive, n_p="1/s", y_p_du="Pa") == values(LOG.parent, n_p="1/s", y_p_du="Pa")
 
 
+def test_a_table_without_times_needs_the_period(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "x.csv").write_text("u,y,\n1.0,0.5,\n2.0,0.6,\n")
+    with pytest.raises(InputError, match=r"a table of values without a column of times; .* or the seconds"):
+        init(tmp_path / "x.csv", *SAID)
+    for words in (["--period", "0"], ["--period", "4", "--time", "u"]):
+        with pytest.raises(InputError, match=r"--period \d: a positive number of seconds, and no --time"):
+            init(tmp_path / "x.csv", *SAID, *words)
+    assert init(tmp_path / "x.csv", *SAID, "--period", "4") == 0
+    assert "2 rows read, from 0.0 to 4.0 s" in capsys.readouterr().out
+
+
 def test_what_nobody_said_is_marked_and_refused_at_once(drive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert init(drive / "can.log", "--vehicle", "truck 7") == 0
     assert "to be filled in before it can be used: source, cycle" in capsys.readouterr().out

@@ -62,9 +62,15 @@ EXPECTED = [(0.0, 1000.0, "GOOD"), (0.5, 1500.0, "GOOD"), (1.0, 2000.0, "GOOD")]
         "time,p\n1700000000000,1000\n1700000000500,1500\n1700000001000,2000\n",
         "time,p\n10,1000\n10.5,1500\ntime,p\n\n11,2000\n",
         "time,p\n12:00:10,1000\n12:00:10.500,1500\n12:00:11,2000\n",
+        "Zeit;p\n31.12.2025 23:59:59,5;1000\n01.01.2026 00:00:00,0;1500\n1.1.2026 0:00:00,5;2000\n",
+        "date,p\n2025/12/31 23:59:59.5,1000\n2026/01/01,1500\n2026/1/1 0:00:00.5,2000\n",
+        "t_ms,p\n20,1000\n520,1500\n1020,2000\n",
     ],
-    ids=["plain", "ms", "decimal comma", "units below", "pandas", "quotes", "dates", "epoch", "header again", "clock"],
-)
+    ids=[
+        "plain", "ms", "decimal comma", "units below", "pandas", "quotes", "dates", "epoch", "header again", "clock",
+        "day first", "strokes", "unit in the name",
+    ],
+)  # fmt: skip
 @pytest.mark.parametrize("name", ["x.csv", "x.log", "x.csv.gz"])
 def test_a_table_is_known_by_its_header(tmp_path: Path, text: str, name: str) -> None:
     assert values(tmp_path, text, name) == EXPECTED
@@ -84,14 +90,31 @@ def test_of_two_columns_of_one_name_none_is_taken(tmp_path: Path) -> None:
 
 
 def test_times_that_are_none_are_named(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"x\.csv: line 3: '31.12.2026' in column 'time' is no time; give seconds, or"):
-        opened(tmp_path, "time,p\n30.12.2026,1\n31.12.2026,2\n")
+    with pytest.raises(LogError, match=r"x\.csv: line 3: '12/31/2026' in column 'time' is no time; give seconds, or"):
+        opened(tmp_path, "time,p\n12/30/2026,1\n12/31/2026,2\n")
 
 
 def test_an_empty_cell_is_silence_and_a_word_is_no_number(tmp_path: Path) -> None:
     found = values(tmp_path, "time,p,q\n0,1,1\n1,,2\n2,NaN,3\n3,sensor fault,4\n4,inf,5\n5,2,6\n")
     assert [(t, quality) for t, _, quality in found] == [(0.0, "GOOD"), (3.0, "ERROR"), (4.0, "ERROR"), (5.0, "GOOD")]
     assert np.isnan([value for _, value, quality in found if quality == "ERROR"]).all()
+
+
+def test_rows_without_times_are_counted_and_a_lost_one_leaves_its_place(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("u;p\n-;kPa\n1,5;1,0\n1,5;2,0\n1,5\n;3,5\n")
+    for text, expected in (("period_s = 0.5", [0.0, 0.5, 1.5]), ("period_s = 4.0", [0.0, 4.0, 12.0])):
+        recording = 'schema = 1\nid = "x"\nkind = "instrumented"\nsource = "s"\nvehicle = "v"\ncycle = "c"\n'
+        recording += f'sensor_set = "instrumented"\n[table]\nfile = "x.csv"\n{text}\n'
+        (tmp_path / "recording.toml").write_text(recording)
+        log = open_log(tmp_path)
+        found = received(log.signals(log.table(PRESSURE, "x")), "p")
+        assert [(t, value) for t, value, _ in found] == list(zip(expected, (1000.0, 2000.0, 3500.0), strict=True))
+        assert log.report.bad == 1
+
+
+def test_a_truth_is_one_or_zero(tmp_path: Path) -> None:
+    found = values(tmp_path, "time,p,q\n0,TRUE,1\n1,False,2\n")
+    assert [(value, quality) for _, value, quality in found] == [(1.0, "GOOD"), (0.0, "GOOD")]
 
 
 def test_a_damaged_row_costs_itself_and_is_counted_with_its_place(tmp_path: Path) -> None:
