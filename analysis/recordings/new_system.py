@@ -237,7 +237,7 @@ def _known(signal: _Signal, *, given: bool) -> str:
     bent = track.value[:-2] - 2.0 * track.value[1:-1] + track.value[2:]
     noise = 1.4826 * float(np.median(np.abs(bent))) / math.sqrt(6.0) or 1e-3 * margin
     description = "residual of another tool" if given else MARK if signal.name == signal.column else signal.column
-    unit = json.dumps(signal.unit) + ("" if plain_unit(signal.written) else "  # the log says none")
+    unit = json.dumps(signal.unit) + ("" if signal.written.strip() else "  # the log says none")
     return (
         f"\n[known.{signal.name}]  # {len(track.t)} values from {low:.4g} to {high:.4g}, every {track.period_s:.3g} s\n"
         f"unit = {unit}\ndescription = {json.dumps(description, ensure_ascii=False)}\n"

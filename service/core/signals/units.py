@@ -63,15 +63,24 @@ UNITS: Mapping[str, tuple[str, Conversion]] = {
 MORE = " (any unit is known where pint is installed, extra `units`)"
 """What an error about a unit adds."""
 
-_SPELLINGS = {"deg C": "degC", "Deg C": "degC", "DegC": "degC", "C": "degC", "L": "l", "L/h": "l/h", "L/min": "l/min"}
+_SPELLINGS = {
+    "-": "",
+    "deg C": "degC",
+    "Deg C": "degC",
+    "DegC": "degC",
+    "C": "degC",
+    "L": "l",
+    "L/h": "l/h",
+    "L/min": "l/min",
+}
 _SIGNS = {"µ": "u", "μ": "u", "°": "deg", "º": "deg", "²": "2", "³": "3", "·": " "}  # both signs of micro
 
 
 def plain_unit(text: str) -> str:
     """Return the unit in ASCII, where there is a name for it.
 
-    >>> plain_unit("°C"), plain_unit(" µA"), plain_unit("kPa")
-    ('degC', 'uA', 'kPa')
+    >>> plain_unit("°C"), plain_unit(" µA"), plain_unit("kPa"), plain_unit("-")
+    ('degC', 'uA', 'kPa', '')
     """
     name = "".join(_SIGNS.get(each, each) for each in text.strip())
     return _SPELLINGS.get(name, name)
