@@ -162,7 +162,7 @@ def nearest_sensor(structure: Structure, test: Test, name: str) -> str:
 
 
 def _padded(rows: Sequence[Sequence[int]], padding: int) -> Columns:
-    width = max((len(row) for row in rows), default=0)
+    width = max([1, *map(len, rows)])
     return np.array([[*row, *[padding] * (width - len(row))] for row in rows], dtype=np.intp).reshape(len(rows), width)
 
 

@@ -33,7 +33,7 @@ class Stack(nn.Module):
         self.functions, self.arguments = index.shape
         self.members, self.hidden = members, tuple(hidden)
         used = (index != padding).to(torch.float32)  # what pads takes no part in how large weights begin
-        count = used.sum(dim=1, keepdim=True).repeat(members, 1)  # (MF, 1)
+        count = used.sum(dim=1, keepdim=True).clamp(min=1.0).repeat(members, 1)  # (MF, 1)
         mask = used.repeat(members, 1)[:, None, :]
         size, rows = members * self.functions, 1 + (hidden[0] if hidden else 0)
         first = (torch.rand(size, rows, self.arguments) * 2 - 1) / count[:, None].sqrt() * mask

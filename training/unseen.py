@@ -21,6 +21,9 @@ Array = npt.NDArray[np.float64]
 UNSEEN = 0.1
 """Spread p of a direction of the inputs, scaled, that was half seen."""
 
+EACH = 20
+"""Ticks that each bent term must have."""
+
 GAIN = 2.0
 """Standard deviation of the prior, scaled: a signal that moved little has a gain beyond one (chosen on a simulated loop
 of a pump and a valve, where 1 left two of four signals unsaid that never moved alone)."""
@@ -34,9 +37,9 @@ def differ(networks: Networks, layout: Layout, windows: Windows, seed: int) -> N
     lin = stack.first.view(stack.members, stack.functions, -1, stack.arguments)
     bias = stack.bias.view(stack.members, stack.functions, -1)
     for t, test in enumerate(layout.tests):
-        if test.states:
-            continue
         used = np.flatnonzero(layout.outputs[t] != layout.padding)
+        if test.states or not len(used):  # a sensor alone is predicted to be constant
+            continue
         columns = layout.outputs[t][used] - first
         prior = GAIN * rng.normal(size=(networks.members, len(used)))
         prior = (prior - prior.mean(axis=0)) * np.sqrt(networks.members / max(networks.members - 1, 1))
@@ -53,7 +56,9 @@ def left_open(inputs: Array, noise: Array) -> Array:
     scores, moved = centred @ directions, np.zeros(len(noise))
     for k, score in enumerate(scores.T):
         stronger = scores[:, k + 1 :]
-        bent = [stronger[:, i] * stronger[:, j] for i, j in zip(*np.triu_indices(stronger.shape[1]), strict=True)]
+        pairs = [*zip(*np.triu_indices(stronger.shape[1]), strict=True)]
+        few = len(pairs) * EACH > len(score)  # as many terms as ticks explain all
+        bent = [] if few else [stronger[:, i] * stronger[:, j] for i, j in pairs]
         table = np.column_stack([np.ones(len(score)), stronger, *bent])
         own = score - table @ np.linalg.lstsq(table, score, rcond=None)[0]
         moved[k] = max(own.var() - (noise**2 @ directions[:, k] ** 2), 0.0)

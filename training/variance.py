@@ -93,7 +93,7 @@ def variance_columns(layout: Layout) -> Columns:
         driven = layout.driven(t)
         held = [signal for test, signal in layout.held if test == t]
         rows.append([*own, *(own + size), *(driven + 2 * size), *(2 * size + len(layout.signals) + s for s in held)])
-    width = max(len(row) for row in rows)
+    width = max([1, *map(len, rows)])
     padding = 2 * size + 2 * len(layout.signals)
     return np.array([[*row, *[padding] * (width - len(row))] for row in rows], dtype=np.intp)
 

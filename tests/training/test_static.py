@@ -18,6 +18,7 @@ from faultline.analysis.tuning.few import ranked_few
 from faultline.service.core.errors import InputError
 from faultline.service.core.residuals.generators import Graph
 from faultline.service.diagnose.command import main as diagnose
+from faultline.training.bank import networks_of
 from faultline.training.command import main as train
 from faultline.training.layout import layout_of
 from faultline.training.loop import Training
@@ -175,3 +176,23 @@ derivative = "dT"
     assert [bool((last[:, t] == 0.0).all()) for t in range(len(direct))] == direct
     gain = outputs.first.view(outputs.members, outputs.functions, -1, outputs.arguments)[:, direct, 0]
     assert ((gain != 0.0).sum(dim=2) == 1).all()
+
+
+def test_a_sensor_alone_is_predicted_to_be_constant(tmp_path: Path) -> None:
+    file = tmp_path / "model.toml"
+    fault = 'fault = {name = "f", component = "sensor"}'
+    equations = [
+        f'[[equation]]\nname = "e1"\nvariables = ["y", "h"]\n{fault}',
+        '[[equation]]\nname = "e2"\nvariables = ["h"]',
+    ]
+    file.write_text('schema = 1\nname = "tank"\n[known.y]\n[unknown.h]\n' + "\n".join(equations))
+    layout = layout_of(load_model(file))
+    z = 5.0 + np.random.default_rng(0).normal(size=(700, 1))
+    held = Samples(layout.signals, (Stretch("made", z, 0.0),), ("",), None, 700.0)
+    training = Training(layout, held, QUICK, seed=0)
+    training.run(lambda _: None, lambda: None)
+    made = networks_of(training, held, seed=0)
+    _, predicted, sigma, _ = Graph(made.graph)(z=z, x=np.zeros((len(z), 0)))
+    assert np.ptp(predicted) < 1e-6
+    assert predicted[0] == pytest.approx(z.mean(), abs=0.1)
+    assert sigma[0] == pytest.approx(1.0, abs=0.2)
