@@ -124,7 +124,9 @@ def _layout(model: Model, tests: Sequence[Test]) -> Layout:
 
     graphs = [arguments(model, test) for test in tests]
     rates = [columns(t, graphs[t].rates[name]) for t, name in place]
-    outputs = [columns(t, graph.output) for t, graph in enumerate(graphs)]
+    outputs = [
+        columns(t, _output(test, graph.output)) for t, (test, graph) in enumerate(zip(tests, graphs, strict=True))
+    ]
     return Layout(
         model=model,
         tests=tuple(tests),
@@ -137,6 +139,11 @@ def _layout(model: Model, tests: Sequence[Test]) -> Layout:
         starts=tuple(_start(model, tests[t], name) for t, name in place),
         sensed=tuple(_sensed(model, name) for _, name in place),
     )
+
+
+def _output(test: Test, of: Arguments) -> Arguments:
+    """What h takes: without states not the signal that it predicts, which another equation may have as well."""
+    return of if test.states else Arguments((), tuple(name for name in of.known if name != test.predicts))
 
 
 def _start(model: Model, test: Test, name: str) -> State:

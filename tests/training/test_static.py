@@ -178,6 +178,22 @@ derivative = "dT"
     assert ((gain != 0.0).sum(dim=2) == 1).all()
 
 
+def test_what_is_predicted_is_no_argument(tmp_path: Path) -> None:
+    """A signal that is in a second equation too would be predicted to be what it is."""
+    file = tmp_path / "model.toml"
+    equations = (["y", "h"], ["y", "u", "h"], ["u", "q"], ["y_2", "q"])
+    text = 'schema = 1\nname = "twice"\n' + "".join(f"[known.{name}]\n" for name in ("u", "y", "y_2"))
+    text += "[unknown.h]\n[unknown.q]\n"
+    for k, names in enumerate(equations, start=1):
+        text += f'[[equation]]\nname = "e{k}"\nvariables = {json.dumps(names)}\n'
+        text += f'fault = {{name = "f_{k}", component = "c{k}"}}\n'
+    file.write_text(text)
+    layout = layout_of(load_model(file))
+    [row] = [t for t, test in enumerate(layout.tests) if test.predicts == "y"]
+    used = layout.outputs[row]
+    assert used[used != layout.padding].tolist() == [layout.signals.index("u")]
+
+
 def test_a_sensor_alone_is_predicted_to_be_constant(tmp_path: Path) -> None:
     file = tmp_path / "model.toml"
     fault = 'fault = {name = "f", component = "sensor"}'
