@@ -6,14 +6,14 @@ seen little, which looks like one. Drives left out decide which of the two it is
 """
 
 from collections.abc import Sequence
-from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import null_space
 
 from faultline.analysis.graph.bank import Bank
 from faultline.analysis.graph.independence import independent, most_apart
-from faultline.analysis.structure.structure import redundancy, structure_of
+from faultline.analysis.structure import structure_of
 
 Array = npt.NDArray[np.float64]
 
@@ -25,17 +25,32 @@ def static_rows(bank: Bank) -> list[int]:
 
 def ranked_few(bank: Bank, standard: Array) -> list[int]:
     """The rows of generators whose residuals (K, T) are numerically independent, few of them without states."""
-    static, structure = static_rows(bank), structure_of(bank.model)
+    static = static_rows(bank)
+    parity = dict(zip(static, _parities(bank, static), strict=True))
 
     def may(rows: Sequence[int]) -> bool:
-        """Whether no set of these rows with the last one has more tests than redundancy."""
-        for count in range(len(rows)):
-            for some in combinations(rows[:-1], count):
-                equations = {name for row in (*some, rows[-1]) for name in bank.generators[row].equations}
-                if count + 1 > redundancy(structure, sorted(equations)):
-                    return False
-        return True
+        return int(np.linalg.matrix_rank(np.array([parity[row] for row in rows]))) == len(rows)
 
     kept = most_apart(standard, static, may)
     rows = [row for row in range(len(bank.generators)) if row in kept or row not in static]
     return [rows[k] for k in independent(standard[:, rows])]
+
+
+def _parities(bank: Bank, rows: Sequence[int]) -> list[Array]:
+    """The combination (E,) of all equations that each of the tests is, with random numbers in their structure.
+
+    A minimal set of equations has one that eliminates its unknowns; what they are dependent by is structural.
+    """
+    structure, rng = structure_of(bank.model), np.random.default_rng(0)
+    unknowns = {name: column for column, name in enumerate(structure.unknowns)}
+    matrix = np.zeros((len(structure.equations), len(unknowns)))
+    for row, equation in enumerate(structure.equations):
+        for name in structure.unknowns_in([equation]):
+            matrix[row, unknowns[name]] = rng.uniform(0.5, 2.0)
+    found = []
+    for each in rows:
+        own = [structure.row[name] for name in bank.generators[each].equations]
+        parity = np.zeros(len(matrix))
+        parity[own] = null_space(matrix[own].T)[:, 0]
+        found.append(parity)
+    return found
