@@ -101,7 +101,9 @@ def layout_of(model: Model, wanted: Sequence[str] | None = None) -> Layout:
     tests = [test for test in found.values() if isinstance(test, Test) and _obstacle(model, test) is None]
     chosen = [test for test in tests if wanted is None or test.name in wanted]
     if not chosen:
-        raise InputError(f"{model.name}: no test has integral causality and a state: there is no network to train")
+        raise InputError(
+            f"{model.name}: there is no network to train: no test has integral causality, or a state beside formulas"
+        )
     return _layout(model, chosen)
 
 
@@ -142,7 +144,7 @@ def _layout(model: Model, tests: Sequence[Test]) -> Layout:
 
 
 def _output(test: Test, of: Arguments) -> Arguments:
-    """What h takes: without states not the signal that it predicts, which another equation may have as well."""
+    """Return what h takes: without states not the signal that it predicts, which another equation may have as well."""
     return of if test.states else Arguments((), tuple(name for name in of.known if name != test.predicts))
 
 

@@ -50,7 +50,7 @@ def differ(networks: Networks, layout: Layout, windows: Windows, seed: int) -> N
 
 
 def left_open(inputs: Array, noise: Array) -> Array:
-    """The part (D, D) of a prior that inputs (K, D) with noise (D,) leave, as a symmetric matrix."""
+    """Return the part (D, D) of a prior that inputs (K, D) with noise (D,) leave, as a symmetric matrix."""
     centred = inputs - inputs.mean(axis=0)
     _, directions = np.linalg.eigh(np.atleast_2d(np.cov(inputs.T)))
     scores, moved = centred @ directions, np.zeros(len(noise))
@@ -66,5 +66,5 @@ def left_open(inputs: Array, noise: Array) -> Array:
 
 
 def _noise(z: Array) -> Array:
-    """The standard deviation (nz,) of what is white in signals (K, nz), robustly, from their second differences."""
+    """Return the standard deviation (nz,) of white noise in signals (K, nz), from the median second difference."""
     return np.asarray(1.4826 / np.sqrt(6.0) * np.median(np.abs(np.diff(z, 2, axis=0)), axis=0))

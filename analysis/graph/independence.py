@@ -28,9 +28,9 @@ def independent(s: Array) -> list[int]:
 
 
 def most_apart(s: Array, columns: Collection[int], may: Callable[[Sequence[int]], bool]) -> list[int]:
-    """Those of these columns of residuals `s` (K, T) that explain each other least, by QR with pivoting.
+    """Return those of these columns of residuals `s` (K, T) that explain each other least, by QR with pivoting.
 
-    One more is taken as long as the columns together `may` be independent. Of columns that are as far apart the first.
+    One more is taken as long as the columns together `may` be independent; of columns that are as far apart, the first.
 
     >>> r = np.random.default_rng(0).normal(size=(200, 3))
     >>> s = np.column_stack([r[:, 0], r[:, 0] + 0.2 * r[:, 1], r[:, 1], r[:, 2]])

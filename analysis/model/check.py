@@ -32,7 +32,7 @@ def check_names(
 
 
 def is_name(name: str) -> bool:
-    """Whether a name can stand in a formula and in generated code."""
+    """Return whether a name can stand in a formula and in generated code."""
     return bool(_NAME.fullmatch(name)) and not keyword.iskeyword(name) and name not in FUNCTIONS
 
 

@@ -203,7 +203,7 @@ class _Supports:
         return obstacle
 
     def _outputs(self, rows: Sequence[int], forward: Sequence[str]) -> list[tuple[str, str]]:
-        """The residual equations that predict a signal, with that signal, the one to be taken first.
+        """Return the residual equations that predict a signal, with that signal, in the order in which they are tried.
 
         Without states and formulas a function of all other signals is to be learnt. What moves one of these in a way
         that was never seen says nothing, so that sensors that a fault reaches go first. A sensor is what is in one
@@ -218,12 +218,12 @@ class _Supports:
         return list(dict.fromkeys([*sensors, *found, *own]))
 
     def _is_free(self, row: int) -> bool:
-        """Whether an equation has no formula."""
+        """Return whether an equation has no formula."""
         model = self._model
         return isinstance(model, Structure) or bool(model.equations[self._structure.equations[row]].variables)
 
     def _own(self, equation: str) -> str | None:
-        """The one signal of an equation that is in no other."""
+        """Return the one signal of an equation that is in no other."""
         row = self._structure.row[equation]
         others = union(mask for other, mask in self._signals.items() if other != row)
         own = [*bits(self._structure.known_rows[row] & ~others)]

@@ -19,12 +19,12 @@ Array = npt.NDArray[np.float64]
 
 
 def static_rows(bank: Bank) -> list[int]:
-    """The rows of the generators whose tests have equations and no states."""
+    """Return the rows of the generators whose tests have equations and no states."""
     return [row for row, each in enumerate(bank.generators) if each.equations and not each.states]
 
 
 def ranked_few(bank: Bank, standard: Array) -> list[int]:
-    """The rows of generators whose residuals (K, T) are numerically independent, few of them without states."""
+    """Return the rows of generators whose residuals (K, T) are numerically independent, few of them without states."""
     static = static_rows(bank)
     parity = dict(zip(static, _parities(bank, static), strict=True))
 
@@ -37,9 +37,10 @@ def ranked_few(bank: Bank, standard: Array) -> list[int]:
 
 
 def _parities(bank: Bank, rows: Sequence[int]) -> list[Array]:
-    """The combination (E,) of all equations that each of the tests is, with random numbers in their structure.
+    """Return each test's parity vector (E,) over all equations, for random coefficients of the same structure.
 
-    A minimal set of equations has one that eliminates its unknowns; what they are dependent by is structural.
+    A minimal over-determined set has one vector that eliminates its unknowns, the left null space of its coefficients.
+    Random coefficients have the generic rank: vectors that are dependent then are so by structure.
     """
     structure, rng = structure_of(bank.model), np.random.default_rng(0)
     unknowns = {name: column for column, name in enumerate(structure.unknowns)}

@@ -1,4 +1,4 @@
-"""From structure alone where nothing is dynamic: loops of a pump and a valve, by networks. `make campaign-loops`.
+"""Networks from structure alone diagnose loops of a pump and a valve, without dynamics. `make campaign-loops`.
 
     .venv/bin/python tests/campaigns/loops.py --vehicles 11 12
 

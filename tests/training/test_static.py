@@ -32,7 +32,7 @@ from pump_loop import MODEL, SIZES, Array, samples, written
 QUICK = replace(DEFAULT, hidden=(12,), phases=(Phase(4, 0, 64, 150),))
 
 LOOP = 1
-"""Of development."""
+"""A loop of development: the campaign judges others."""
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_few_tests_are_as_many_as_the_redundancy_and_reach_every_fault(model: Pa
 
 
 def test_sigma_grows_where_signals_do_not_move_together_any_more(model: Path, networks: Path, tmp_path: Path) -> None:
-    """With a valve that never moved speed tells flow, and what each does by itself was not seen."""
+    """Where the valve never moved, speed and flow moved together, and what each does alone is not known."""
     tied, free = samples(LOOP, 8, 300, valve=False), samples(LOOP, 8, 300)
 
     def grown(folder: Path, usual: Array) -> Array:

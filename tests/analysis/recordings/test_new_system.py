@@ -1,6 +1,7 @@
 """The first folder of a system, written from a log: what it proposes, and what it leaves to its author by name."""
 
 import re
+import tomllib
 from importlib import resources
 from pathlib import Path
 
@@ -61,6 +62,25 @@ def test_what_is_left_to_the_author_is_told_by_name_until_it_is_filled_in(table:
     file.write_text(begin + '[unknown.h]\nunit = "m"\n[[equation]]\nname = "e1"\nexpr = "level - h"\n')
     model = load_model(tmp_path / "tank")
     assert (model.period_s, model.maximum_age_s("level")) == (2.0, 10.0)
+
+
+def test_columns_get_names_for_formulas_and_those_that_never_change_are_left_away(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = [f"{k};{30 + k % 7};{k % 5};0" for k in range(50)]
+    (tmp_path / "log.csv").write_text("\n".join(["time;Volume Flow RateRMS;exp [-];anomaly", *rows]) + "\n")
+    assert main(["system", "loop", "--from", str(tmp_path / "log.csv"), "--out", str(tmp_path / "loop")]) == 0
+    assert "never change in the log, and left away: anomaly (--signals" in capsys.readouterr().out
+    text = (tmp_path / "loop" / "model.toml").read_text()
+    assert [*tomllib.loads(text)["known"]] == ["Volume_Flow_RateRMS", "x_exp"]
+    assert values(text, "Volume_Flow_RateRMS")["description"] == '"Volume Flow RateRMS"'
+    assert values(text, "Volume_Flow_RateRMS")["unit"] == '"1"  # the log says none'
+    assert [*tomllib.loads((tmp_path / "loop" / "system.toml").read_text())["signal"]] == [
+        "Volume_Flow_RateRMS",
+        "x_exp",
+    ]
+    kept = ["--signals", "anomaly", "--out", str(tmp_path / "kept")]
+    assert main(["system", "loop", "--from", str(tmp_path / "log.csv"), *kept]) == 0
 
 
 def test_a_can_log_gives_the_signals_of_its_dbc(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -102,7 +102,7 @@ def test_an_empty_cell_is_silence_and_a_word_is_no_number(tmp_path: Path) -> Non
 
 def test_rows_without_times_are_counted_and_a_lost_one_leaves_its_place(tmp_path: Path) -> None:
     (tmp_path / "x.csv").write_text("u;p\n-;kPa\n1,5;1,0\n1,5;2,0\n1,5\n;3,5\n")
-    for text, expected in (("period_s = 0.5", [0.0, 0.5, 1.5]), ("period_s = 4.0", [0.0, 4.0, 12.0])):
+    for text, expected in (("period_s = 0.5", [0.0, 0.5, 1.5]), ("period_s = 4", [0.0, 4.0, 12.0])):
         recording = 'schema = 1\nid = "x"\nkind = "instrumented"\nsource = "s"\nvehicle = "v"\ncycle = "c"\n'
         recording += f'sensor_set = "instrumented"\n[table]\nfile = "x.csv"\n{text}\n'
         (tmp_path / "recording.toml").write_text(recording)
