@@ -12,12 +12,14 @@ from typing import Any
 
 import pytest
 
+from faultline.service.core.decision.decision import RANKING
+
 FAULTLINE = str(Path(sys.executable).with_name("faultline"))
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
 PAGES = README + (ROOT / "docs" / "structural-analysis.md").read_text()
 BLOCKS = re.findall(r"```sh\n(.*?)```", PAGES, flags=re.DOTALL)
-pytestmark = pytest.mark.alone  # two of the demo's recordings go over a bus at 20x
+pytestmark = pytest.mark.alone  # two of the demo's recordings go over a bus
 COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line and not line.startswith("#")]
 
 
@@ -35,6 +37,14 @@ SLOWLY = ("--speed", "8")
 """As a machine that stands still for 50 ms now and then, which some do, is then late by less of the log's time."""
 
 
+LOOKS = 2 * RANKING.periods
+"""Samples by which what refines a diagnosis may come earlier or later over the bus than in the log, as the README says.
+
+A bus that is a few ms late at 8x shifts frames by part of a sample, so that some samples are others; a fault at the
+limit of what fits is then listed a look earlier or later (copies of the log with frames held up: 15 samples in 2 of 4).
+"""
+
+
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Ran:
     """One run, in a folder of its own, for every test that looks at what it made."""
@@ -49,10 +59,11 @@ def test_it_isolates_both_faults_and_says_so(demo: Ran) -> None:
     assert demo.code == 0, demo.out + demo.err
     [du] = [line for line in demo.out.splitlines() if line.strip().startswith("fA_du from")]
     [t] = [line for line in demo.out.splitlines() if line.strip().startswith("fA_t from")]
-    assert re.search(
-        r"first fA_du, 0 false alarms before, over the bus within [0-2] samples of offline: as promised", du
-    )
-    assert re.search(r"0 false alarms before, over the bus within [0-2] samples of offline: as promised", t)
+    assert "first fA_du, 0 false alarms before" in du
+    for line in (du, t):
+        found = re.search(r"0 false alarms before, over the bus within (\d+) samples of offline: as promised", line)
+        assert found, line
+        assert int(found[1]) <= LOOKS, line
     assert "fault-free: 0 false alarms: as promised" in demo.out
     assert "cannot tell: t02" in demo.out
     assert "1. fA_du (dosing unit filter" in demo.out
@@ -95,7 +106,7 @@ def candidate_changes(events: list[dict[str, Any]]) -> list[tuple[str, list[list
 
 @pytest.mark.parametrize("name", ["validation-6-fA_du", "validation-7-fA_t"])
 def test_the_live_candidates_are_those_of_the_log(demo: Ran, name: str) -> None:
-    """20x over the bus against `diagnose`: the same candidates in the same order, each within two samples."""
+    """8x over the bus against `diagnose`: the same candidates in the same order, at nearly the same ticks."""
     out = demo.folder / "out" / "demo"
     told = [json.loads(line) for line in (out / f"{name}.events.jsonl").read_text().splitlines()]
     live = [record for record in told if record["schema"] == "faultline.event/1"]
@@ -103,7 +114,9 @@ def test_the_live_candidates_are_those_of_the_log(demo: Ran, name: str) -> None:
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
     ours, theirs = candidate_changes([json.loads(line) for line in done.stdout.splitlines()]), candidate_changes(live)
     assert [change[:2] for change in ours] == [change[:2] for change in theirs]
-    assert all(abs(mine[2] - yours[2]) <= 2 for mine, yours in zip(ours, theirs, strict=True))
+    apart = [abs(mine[2] - yours[2]) for mine, yours in zip(ours, theirs, strict=True)]
+    refined = [change[0] == "refined" for change in ours]
+    assert all(ticks <= (LOOKS if later else 2) for ticks, later in zip(apart, refined, strict=True)), apart
 
 
 @pytest.mark.parametrize("command", [line for line in COMMANDS if line.startswith(".venv/bin/")])
