@@ -54,6 +54,11 @@ class Fleet(NamedTuple):
         return [each for each in self.findings if each.stands]
 
     @property
+    def past(self) -> list[Finding]:
+        """Those that a later drive with a verdict does not have."""
+        return [each for each in self.findings if not each.stands]
+
+    @property
     def by_component(self) -> Counter[str]:
         """Vehicles by what stands."""
         return Counter(each.components for each in self.standing)

@@ -27,11 +27,10 @@ def page_of(fleet: Fleet) -> str:
         "drive that has it. It stands where the vehicle's last drive with a verdict has it. Drives without a verdict "
         "neither confirm nor end one."
     )
-    past = [each for each in fleet.findings if not each.stands]
     tables = {
         "standing": Table(HEAD, [_row(each) for each in fleet.standing], text=WORDS),
         "components": Table(("component", "vehicles"), [(n, str(k)) for n, k in fleet.by_component.most_common()]),
-        "past": Table(HEAD, [_row(each) for each in past], text=WORDS),
+        "past": Table(HEAD, [_row(each) for each in fleet.past], text=WORDS),
         "silent": Table(("vehicle", "why, of its last drive"), list(fleet.silent.items()), text=(1,)),
         "drives": Table(("verdict", "drives", "meaning"), _verdicts(fleet), text=(2,)),
     }
@@ -47,13 +46,17 @@ def sentence(fleet: Fleet) -> str:
 
 
 def text_of(fleet: Fleet) -> str:
-    """Return the same as lines of text: what stands, and vehicles of which nothing is known."""
-    rows = [HEAD, *(_row(each) for each in fleet.standing)]
-    lines = [sentence(fleet)]
-    if len(rows) > 1:
-        lines += _columns([[str(cell) for cell in row] for row in rows])
+    """Return the same as lines of text: what stands, what was found before, and vehicles of which nothing is known."""
+    lines = [sentence(fleet), *_lines(fleet.standing)]
+    if fleet.past:
+        lines += ["found before, and not in the last drive:", *_lines(fleet.past)]
     lines += [f"{vehicle}: nothing is known: {why}" for vehicle, why in fleet.silent.items()]
     return "\n".join(lines)
+
+
+def _lines(findings: Sequence[Finding]) -> list[str]:
+    """Return the findings as a table, or nothing where there are none."""
+    return _columns([[str(cell) for cell in row] for row in (HEAD, *map(_row, findings))]) if findings else []
 
 
 def _columns(rows: Sequence[Sequence[str]]) -> list[str]:

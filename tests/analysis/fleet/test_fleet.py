@@ -123,7 +123,10 @@ def test_a_drive_without_a_verdict_ends_no_finding(out: Path) -> None:
     later = {**rows[-1], "verdict": "open", "diagnoses": [], "reason": "too short"}
     sound = {**later, "verdict": "no fault"}
     assert fleet_of([*rows, later]).findings[0].stands
-    assert not fleet_of([*rows, sound]).findings[0].stands
+    past = fleet_of([*rows, sound])
+    assert not past.findings[0].stands
+    assert text_of(past).splitlines()[1].startswith("found before, and not in the last drive")
+    assert FAULT in text_of(past)
     assert fleet_of([*rows, sound, rows[-1]]).findings[0].of == 4
 
 
