@@ -101,11 +101,12 @@ class CompiledEvaluator:
         )
 
 
-def kernels_of_bundle(bundle: Bundle) -> Kernels:
+def kernels_of_bundle(bundle: Bundle, *, compiling: bool = True) -> Kernels:
     """Return the functions of a bundle's graphs, compiled if they never were.
 
     Raises:
         NotCompiledError: the bundle has networks, or a graph with an operation that is not made into native code.
+        ToCompileError: they never were, and nothing is to be compiled by this process.
         OSError: the user's cache cannot be written.
     """
     graphs = {generator.graph for generator in bundle.manifest.generators}
@@ -113,7 +114,7 @@ def kernels_of_bundle(bundle: Bundle) -> Kernels:
         raise NotCompiledError(f"residual generators of {len(graphs)} graphs, and one is compiled")
     evidence = bundle.manifest.evidence
     hypotheses = None if evidence.graph is None else bundle.graphs[evidence.graph]
-    return kernels_of(bundle.graphs[graphs.pop()], hypotheses, len(evidence.hypotheses))
+    return kernels_of(bundle.graphs[graphs.pop()], hypotheses, len(evidence.hypotheses), compiling=compiling)
 
 
 @cache

@@ -8,10 +8,13 @@ import hashlib
 import os
 import sys
 from collections.abc import Callable
+from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
+
+import numba
 
 from faultline.analysis.compiled.elements import NotCompiledError, program_of
 from faultline.analysis.compiled.source import HEAD, NO_HYPOTHESES, hypotheses_text, numbers_of, table_of, tests_text
@@ -23,7 +26,14 @@ MOST_SCALARS = 20_000
 WORTH_IT = 20_000
 """Ticks from which compiling is worth it: without, so many take as long as compiling does, 15 to 25 s."""
 
+CODE = ("driver.py", "decision.py")
+"""Beside this file: what is compiled with any graph. Where it changes, graphs are compiled again with it."""
+
 Function = Callable[..., None]
+
+
+class ToCompileError(NotCompiledError):
+    """It can be compiled, and never was."""
 
 
 class Kernels(NamedTuple):
@@ -36,7 +46,9 @@ class Kernels(NamedTuple):
     table: FloatArray
 
 
-def kernels_of(tests: bytes, hypotheses: bytes | None, rows: int, *, ticks: int = WORTH_IT, more: int = 0) -> Kernels:
+def kernels_of(
+    tests: bytes, hypotheses: bytes | None, rows: int, *, ticks: int = WORTH_IT, more: int = 0, compiling: bool = True
+) -> Kernels:
     """Return the functions of the tests' graph, and of that of the hypotheses, which has so many rows.
 
     They are needed for so many `ticks` now, and for `more` later. They are compiled if that is worth it, counting those
@@ -44,6 +56,7 @@ def kernels_of(tests: bytes, hypotheses: bytes | None, rows: int, *, ticks: int 
 
     Raises:
         NotCompiledError: a graph cannot be compiled; or it never was, and is not worth it yet.
+        ToCompileError: it is worth it, and nothing is to be compiled by this process.
         OSError: the user's cache cannot be written.
     """
     programs = [program_of(tests, 1), *([] if hypotheses is None else [program_of(hypotheses, rows)])]
@@ -55,6 +68,8 @@ def kernels_of(tests: bytes, hypotheses: bytes | None, rows: int, *, ticks: int 
     worth_it = [_is_worth_it(text, ticks, more) for text in texts[: len(programs)]]
     if not all(worth_it):
         raise NotCompiledError("this was never compiled, and is needed for few ticks")
+    if not (compiling or all(_place(text).exists() for text in texts)):
+        raise ToCompileError("this was never compiled")
     modules = [_module(text) for text in texts]
     numbers = numbers_of(of_tests), numbers_of(other)
     return Kernels(modules[0].tests, modules[1].hypotheses, *numbers, table_of(other, rows))
@@ -76,9 +91,21 @@ def _is_worth_it(text: str, ticks: int, more: int) -> bool:
 
 def _place(text: str) -> Path:
     """The file of this text."""
-    name = "faultline_graphs_" + hashlib.sha256(text.encode()).hexdigest()[:16]
+    name = "faultline_graphs_" + hashlib.sha256(text.encode() + _code()).hexdigest()[:16]
+    return folder_of_cache() / f"{name}.py"
+
+
+def folder_of_cache() -> Path:
+    """Return the folder in which compiled functions are kept; it may not be there yet."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "faultline" / "compiled" / f"{name}.py"
+    return Path(base) / "faultline" / "compiled"
+
+
+@cache
+def _code() -> bytes:
+    """The compiler's version, and what is compiled with any graph."""
+    here = Path(__file__).parent
+    return b"".join([numba.__version__.encode(), *((here / name).read_bytes() for name in CODE)])
 
 
 def _module(text: str) -> ModuleType:

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from faultline.analysis.compiled.apart import kernels_apart
 from faultline.analysis.compiled.decision import NATIVE
 from faultline.analysis.compiled.elements import NotCompiledError
-from faultline.analysis.compiled.evaluator import CompiledEvaluator, kernels_of_bundle
+from faultline.analysis.compiled.evaluator import CompiledEvaluator
 from faultline.analysis.compiled.kernels import Kernels
 from faultline.analysis.fleet import tables
 from faultline.analysis.fleet.drives import VEHICLE, Drive, at_hand, date_of, digest, safe, start_of
@@ -131,13 +132,12 @@ def _made(path: Path, folder: Path, asked: Sequence[str]) -> _Made:
     bundle = load_bundle(folder, senders=log.senders, signals=log.signals_of_dbc)
     _check_golden(bundle)
     check_fits(bundle, log, folder, path)
-    row, events = _rows(log, bundle)
+    row, events = _rows(log, bundle, _kernels(bundle, folder, path))
     return _Made({**row, "asked": [*asked], **identity_of(log, asked)._asdict()}, events, start_of(log))
 
 
-def _rows(log: Log, bundle: Bundle) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+def _rows(log: Log, bundle: Bundle, kernels: Kernels | None) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """The row of a drive, without where and when it is from, and those of its events."""
-    kernels = _kernels(bundle.id, bundle)
     evaluator = bundle.bank() if kernels is None else CompiledEvaluator(bundle.manifest, kernels)
     monitor = Monitor(bundle.manifest, evaluator, bundle.table, log.id, bundle.id, parts=NATIVE)
     verdict = Verdict(bundle.manifest)
@@ -225,11 +225,11 @@ _known: dict[str, Kernels | None] = {}
 """In a worker: the native code of the bundle used last; None where it has none."""
 
 
-def _kernels(bundle_id: str, bundle: Bundle) -> Kernels | None:
-    if bundle_id not in _known:
+def _kernels(bundle: Bundle, folder: Path, path: Path) -> Kernels | None:
+    if bundle.id not in _known:
         _known.clear()
         try:
-            _known[bundle_id] = kernels_of_bundle(bundle)
+            _known[bundle.id] = kernels_apart(bundle, folder, path)
         except NotCompiledError:
-            _known[bundle_id] = None
-    return _known[bundle_id]
+            _known[bundle.id] = None
+    return _known[bundle.id]

@@ -8,10 +8,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from faultline.analysis.compiled import apart
+from faultline.analysis.compiled.apart import kernels_apart
 from faultline.analysis.compiled.decision import NATIVE
-from faultline.analysis.compiled.evaluator import CompiledEvaluator, kernels_of_bundle
-from faultline.analysis.compiled.kernels import Kernels
-from faultline.service.bundle.load import load_bundle, load_with_log
+from faultline.analysis.compiled.evaluator import CompiledEvaluator
+from faultline.analysis.compiled.kernels import Kernels, ToCompileError
+from faultline.service.bundle.load import Bundle, load_bundle, load_with_log
 from faultline.service.core.decision.parts import PARTS
 from faultline.service.core.manifest import Evidence, Generator, Input, Modes
 from faultline.service.core.monitor import Monitor
@@ -46,7 +48,32 @@ class Alone(NamedTuple):
 def kernels(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Kernels]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield kernels_of_bundle(BUNDLE)
+        yield kernels_apart(BUNDLE, GOLDEN / "bundle", GOLDEN / "log")
+
+
+def test_another_process_compiled_them(kernels: Kernels) -> None:
+    for function in (kernels.tests, kernels.hypotheses):
+        stats = function.stats  # type: ignore[attr-defined]
+        assert stats.cache_hits
+        assert not sum(stats.cache_misses.values())
+
+
+def test_what_another_process_could_not_compile_is_compiled_here(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    asked = []
+
+    def compiled(bundle: Bundle, *, compiling: bool = True) -> str:
+        asked.append(compiling)
+        if not compiling:
+            raise ToCompileError("this was never compiled")
+        return "kernels"
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(apart, "kernels_of_bundle", compiled)
+    assert kernels_apart(BUNDLE, tmp_path / "no bundle", GOLDEN / "log") == "kernels"  # type: ignore[comparison-overlap]
+    assert asked == [False, True]
+    assert "no bundle" in caplog.text
 
 
 def events(path: Path, evaluator: GeneratorBank | Evaluator) -> bytes:
