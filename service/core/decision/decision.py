@@ -102,6 +102,8 @@ class Decision:
         )
         self._looked_at = [names.index(name) for name in manifest.evidence.generators]
         alone = {each.name for each in manifest.disturbances}
+        self._spread = np.full((len(manifest.evidence.spread), len(names)), np.inf)
+        self._spread[:, self._looked_at] = manifest.evidence.spread
         self._hypotheses = Hypotheses(manifest.evidence, alone, without_sizes(manifest), parts.look)
         self._explainer = Explainer(manifest)
         covered = [*manifest.evidence.generators, *(each.generator for each in manifest.evidence.followers)]
@@ -203,7 +205,7 @@ class Decision:
         if self.suspicious:
             self._count_unseen(len(residuals.r))
         else:
-            self._wait(tick, mode)
+            self._wait(tick, mode, residuals)
 
     def withdraw(self, tick: int, signal: str) -> None:
         """Discard an episode that began at `tick` or later and rests on `signal`, whose samples since then are doubted.
@@ -238,10 +240,12 @@ class Decision:
         elif any(self._usable[row] for row in alarmed):
             self._unseen += ticks
 
-    def _wait(self, tick: int, mode: int) -> None:
-        """A tick without alarm: the episode ends in time."""
+    def _wait(self, tick: int, mode: int, residuals: Residuals) -> None:
+        """A tick without alarm: the episode ends in time. Ticks that could not show the fault do not count."""
         assert self._latest is not None
-        if mode != EDGE and self._usable[sorted(self._deviating) or self._looked_at].all():
+        if not self._could_show(mode, residuals):
+            self._latest += 1
+        elif mode != EDGE:
             self._calm[mode - 1] += 1
         over = (self._calm[self._showing] >= self._healed).all() and tick - self._latest >= self._linger
         if (over and self._is_gone()) or not self.confirmed:
@@ -249,6 +253,12 @@ class Decision:
                 self._change.rest()
             self._latest, self._doubted, self.confirmed = None, None, False
             self._explanations = Explanations()
+
+    def _could_show(self, mode: int, residuals: Residuals) -> bool:
+        """Return whether the tests that deviated can tell now, and their networks' errors are not beyond the spread."""
+        rows = sorted(self._deviating) or self._looked_at
+        known = not residuals.excess.ndim or (residuals.excess[-1, rows] <= self._spread[mode, rows] ** 2).all()
+        return bool(known and self._usable[rows].all())
 
     def _is_gone(self) -> bool:
         """Whether all that the window could not tell apart fits what is seen since then far worse than no fault."""

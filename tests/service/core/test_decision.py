@@ -84,8 +84,9 @@ OF_PATTERNS = structs.replace(
 class Vehicle:
     """A decision, fed with residuals whose shifts are known. State: the tick."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, has_networks: bool = False) -> None:
         self.decision = Decision(OF_PATTERNS)
+        self.has_networks = has_networks
         self.tick = 0
 
     def drive(
@@ -96,10 +97,11 @@ class Vehicle:
         mute: tuple[str, ...] = (),
         stuck: dict[str, float] | None = None,
         day: FloatArray | None = None,
+        doubt: float = 0.0,
     ) -> None:
         """Ticks in a mode under these faults; those `mute` cannot tell, `stuck` are off by so many of their spreads.
 
-        `day` (modes, K) is another one.
+        `day` (modes, K) is another one. The errors of networks are beyond the usual by `doubt` spreads.
         """
         r = OFFSET[:, mode].copy()
         for name, size in (stuck or {}).items():
@@ -111,10 +113,11 @@ class Vehicle:
         sizes = [(h.fault, abs(h.size) / LARGEST[h.fault]) for h in EVIDENCE.hypotheses]
         shift = np.array([moved(fault, size, mode if mode != EDGE else MAXIMUM) for fault, size in sizes])
         usable = np.array([name not in mute for name in NAMES])
+        residuals = Residuals(r, usual(mode), SCALE[:, mode], usable, shift, NOTHING_BROUGHT)
+        if self.has_networks:
+            residuals = residuals._replace(excess=(doubt * SCALE[:, mode]) ** 2)
         for _ in range(ticks):
-            self.decision.update(
-                self.tick, mode, Residuals(r, usual(mode), SCALE[:, mode], usable, shift, NOTHING_BROUGHT)
-            )
+            self.decision.update(self.tick, mode, residuals)
             self.tick += 1
 
     @property
@@ -233,6 +236,27 @@ def test_a_sensor_that_has_nothing_to_do_with_it_does_not_keep_a_fault_from_heal
     assert vehicle.named
     for mode in (PARTIAL, MAXIMUM) * 3:
         vehicle.drive(LINGER_TICKS, mode, mute=("t08.ode",))
+    assert vehicle.named == []
+
+
+def test_ticks_in_which_no_test_can_tell_heal_nothing() -> None:
+    vehicle = calm()
+    vehicle.drive(2 * SETTLED, PARTIAL, {"fA_du": 0.6})
+    assert vehicle.named
+    vehicle.drive(FROZEN_TICKS + 3 * LINGER_TICKS, PARTIAL, mute=tuple(NAMES))
+    vehicle.drive(HEALED_TICKS, PARTIAL)
+    assert vehicle.named
+    vehicle.drive(LINGER_TICKS, PARTIAL)
+    assert vehicle.named == []
+
+
+def test_ticks_in_which_networks_doubt_themselves_heal_nothing() -> None:
+    vehicle = Vehicle(has_networks=True)
+    vehicle.drive(3 * SETTLED, PARTIAL)
+    vehicle.drive(2 * SETTLED, PARTIAL, {"fA_du": 0.6})
+    vehicle.drive(5 * LINGER_TICKS, PARTIAL, doubt=3.0)
+    assert vehicle.named
+    vehicle.drive(10 * LINGER_TICKS, PARTIAL)
     assert vehicle.named == []
 
 
