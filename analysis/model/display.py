@@ -10,7 +10,8 @@ from faultline.analysis.model.model import Known, Model
 from faultline.analysis.model.units import parse_unit
 from faultline.service.core.display import Display, fitting
 from faultline.service.core.manifest import Input
-from faultline.service.core.signals.units import conversion
+from faultline.service.core.signals.units import conversion as by_table
+from faultline.service.logs.units import conversion
 
 MOST_DIGITS = 12
 
@@ -59,11 +60,13 @@ def _of_signal(model: Model, name: str, known: Known, where: str) -> tuple[Displ
 
 def _display(unit: str, wanted: str, place: str) -> Display:
     """Return the unit `wanted` as one for values in `unit`; raises ModelError if it is none."""
-    if how := conversion(wanted, unit):
+    if how := by_table(wanted, unit):
         return Display(unit=wanted, size=how.factor, zero=how.offset)
     try:
         (own, dimension), (size, shown) = parse_unit(unit), parse_unit(wanted)
     except ValueError as error:
+        if how := conversion(wanted, unit):
+            return Display(unit=wanted, size=how.factor, zero=how.offset)
         raise ModelError(f"{place}: {error}") from error
     if shown != dimension:
         raise ModelError(f"{place}: {wanted} is no unit for values in {unit}; give one of the same dimension")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from faultline.analysis.export import main as export
+from faultline.analysis.graph.bank import inputs_of
 from faultline.analysis.graph.networks import load_networks
 from faultline.analysis.model import load_model
 from faultline.analysis.tuning.command import main as tune
@@ -23,6 +24,7 @@ from faultline.service.logs import open_log
 from faultline.testbench import tanks
 from faultline.training.command import main as train
 from faultline.training.recipe import DEFAULT, Phase
+from faultline.training.samples import load_samples
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "analysis" / "another_system"))
 import recorded_tanks
@@ -156,6 +158,19 @@ def test_what_cannot_be_trained_on_is_refused_with_the_remedy(made: Made, tmp_pa
     with pytest.raises(InputError, match=r"stuck: y2 hardly moves .*: a sensor that is stuck, or an input"):
         train(["three-tank", str(stuck), *out])
     assert not (tmp_path / "never").exists()
+
+
+@pytest.mark.parametrize("period_s", [40.0, 1000.0])
+def test_an_input_of_two_values_must_have_been_thrown_more_than_once(tmp_path: Path, period_s: float) -> None:
+    t = np.arange(0.0, 400.0, tanks.FRAME_S)
+    u = np.where((t + 300.0) % period_s < period_s / 2, 0.5, 0.6)
+    log = recorded_tanks.write(tmp_path / "switched", tanks.Run(t, u, tanks.levels(t, u, None)))
+    model = load_model("three-tank")
+    if period_s < t[-1]:
+        assert load_samples(model, inputs_of(model), [log], print).seconds > 300.0
+        return
+    with pytest.raises(InputError, match=r"switched: u hardly moves"):
+        load_samples(model, inputs_of(model), [log], print)
 
 
 def test_networks_that_are_left_out_leave_the_others_as_they_were(made: Made) -> None:

@@ -1,16 +1,14 @@
 """A table as text: a header with the columns' names, then rows (CSV with a comma, a semicolon or a tab).
 
 Units are in brackets behind the names or in a line of their own below them. With another delimiter than a comma,
-numbers may have a decimal comma. Times are seconds, or in the header's unit, or dates (ISO 8601, 31.1.2026 12:00:00 or
-2026/1/31 12:00:00; UTC without a zone).
+numbers may have a decimal comma. Times are seconds, or in the header's unit, or dates (`service.logs.tables.dates`).
 """
 
 import csv
-import re
 from collections.abc import Collection, Iterator, Sequence
-from datetime import UTC, datetime
-from datetime import time as day_time
+from functools import cached_property
 from io import StringIO
+from itertools import chain
 from math import inf, isfinite, nan
 from typing import NamedTuple
 
@@ -20,16 +18,12 @@ from faultline.service.core.signals.values import FloatArray
 from faultline.service.logs.delimited import find_table
 from faultline.service.logs.pieces import Source
 from faultline.service.logs.report import LogError, LogReport, shown
+from faultline.service.logs.tables.dates import date_s, is_ambiguous, is_month_first
 from faultline.service.logs.tables.rows import TableRows, distinct, is_time, per_second, title
 
 _HEAD_LINES = 20
 _LONGEST_LINE = 1 << 20
 _DELIMITERS = (",", ";", "\t")
-_DATE = re.compile(
-    r"(?:(?P<day>\d{1,2})\.(?P<month>\d{1,2})\.(?P<year>\d{4})|(?P<y>\d{4})/(?P<m>\d{1,2})/(?P<d>\d{1,2}))"
-    r"(?:[ T]+(?P<rest>\d.+))?"
-)
-"""Dates with the day first have dots: with strokes it may as well be the month."""
 _TRUTH = {"true": 1.0, "false": 0.0}
 _NOTHING = frozenset(("", "-", "--", "nan", "null", "none", "na", "n/a", "#n/a"))
 
@@ -72,12 +66,14 @@ def find_header(head: bytes, time: str | float | None = None) -> TableHeader | N
                 continue
             rows = [_cells(each, delimiter) for each in lines[number + 1 : number + 3]]
             for skipped, row in enumerate(rows):
-                if len(row) == len(cells) and _time_s(row[at[0]], delimiter) is not None:
+                if len(row) == len(cells) and _is_time(row[at[0]], delimiter):
                     return _header(number + 1, delimiter, cells, rows[0] if skipped else None, at[0])
             if not unread and rows and len(rows[-1]) == len(cells):
                 unread = f"line {number + len(rows) + 1}: {rows[-1][at[0]]!r} in column {title(cells[at[0]])[0]!r}"
     if unread:
-        raise LogError(f"{unread} is no time; give seconds, or dates as 2026-01-31T12:00:00 or 31.01.2026 12:00:00")
+        raise LogError(
+            f"{unread} is no time; give seconds, or dates as 2026-01-31T12:00:00, 31.1.2026 12:00:00 or 1/31/2026 12:00"
+        )
     return None
 
 
@@ -116,12 +112,29 @@ class TextTable:
             if k != header.time and name
         }
 
+    @cached_property
+    def _month_first(self) -> bool:
+        """Whether the month is first in dates of which one cannot see it; then all rows are looked at."""
+        header = self._header
+        if header.period_s:
+            return True
+        dates = (cells[header.time] for cells in self._cells() if len(cells) > header.time)
+        first = next((cell for cell in dates if _is_time(cell, header.delimiter)), "")
+        return is_month_first(chain([first], dates)) if is_ambiguous(first) else True
+
+    def _cells(self) -> Iterator[list[str]]:
+        """The cells of all lines."""
+        rest = b""
+        for piece in self._source.pieces(LogReport()):
+            *lines, rest = (rest + piece).split(b"\n")
+            yield from (_cells(line.decode("utf-8", "replace"), self._header.delimiter) for line in lines)
+
     def streams(self, names: Collection[str], report: LogReport) -> Sequence[Iterator[TableRows]]:
         """Return the rows: see `TableFile`."""
         return [self._rows([name for name in self.units if name in names], report)]
 
     def _rows(self, names: Sequence[str], report: LogReport) -> Iterator[TableRows]:
-        parser = _Parser(self._header, names, report)
+        parser = _Parser(self._header, names, report, month_first=self._month_first)
         rest = b""
         for piece in self._source.pieces(report):
             whole, newline, rest = (rest + piece).rpartition(b"\n")
@@ -137,8 +150,8 @@ class TextTable:
 class _Parser:
     """Rows of whole lines. State: the number of the next line."""
 
-    def __init__(self, header: TableHeader, names: Sequence[str], report: LogReport) -> None:
-        self._header, self._names, self._report = header, names, report
+    def __init__(self, header: TableHeader, names: Sequence[str], report: LogReport, *, month_first: bool) -> None:
+        self._header, self._names, self._report, self._month_first = header, names, report, month_first
         self._use = [max(header.time, 0), *(header.names.index(name) for name in names)]
         self._unit = 1.0 if header.period_s else per_second(header.names[header.time], header.units[header.time])
         self.line = 1
@@ -198,7 +211,7 @@ class _Parser:
         header = self._header
         if header.period_s:
             return header.period_s * (number - header.first)
-        return _time_s(cells[header.time], header.delimiter, self._unit)
+        return _time_s(cells[header.time], header.delimiter, self._unit, month_first=self._month_first)
 
 
 def unit_of_dates(t: float) -> float:
@@ -216,35 +229,19 @@ def _cells(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [])]
 
 
-def _time_s(cell: str, delimiter: str, unit: float = 1.0) -> float | None:
+def _is_time(cell: str, delimiter: str) -> bool:
+    return any(_time_s(cell, delimiter, month_first=first) is not None for first in (True, False))
+
+
+def _time_s(cell: str, delimiter: str, unit: float = 1.0, *, month_first: bool = True) -> float | None:
     """Return a time [s]; None where it is none."""
     try:
         t = float(cell.replace(",", ".") if delimiter != "," else cell)
     except ValueError:
-        return _date_s(cell)
+        return date_s(cell, month_first=month_first)
     if not -inf < t < inf:
         return None
     return t / (unit if unit != 1.0 else unit_of_dates(t))
-
-
-def _date_s(cell: str) -> float | None:
-    """Return a date, or the time of a day, in seconds; None where it is neither.
-
-    >>> _date_s("31.1.1970 9:00:00,5") == _date_s("1970/01/31 09:00:00.5") == _date_s("1970-01-31T09:00:00.5")
-    True
-    """
-    if match := _DATE.fullmatch(cell):
-        day, month, year = match.group("day", "month", "year") if match["day"] else match.group("d", "m", "y")
-        rest = match["rest"] or "00:00"
-        cell = f"{year}-{int(month):02}-{int(day):02}T{rest if rest[1] != ':' else f'0{rest}'}"
-    try:
-        date = datetime.fromisoformat(cell)
-    except ValueError:
-        try:
-            date = datetime.combine(datetime.fromtimestamp(0, UTC), day_time.fromisoformat(cell))
-        except ValueError:
-            return None
-    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
 
 
 def _value(cell: str, delimiter: str) -> float:

@@ -123,7 +123,10 @@ place = "below"
     assert parse_model(dump_model(model), "written") == model
 
 
-def test_a_unit_may_have_another_zero(tmp_path: Path) -> None:
-    model = load_model(folder(tmp_path, MODEL.replace('"m"', '"K"'), 'schema = 1\n[signal.y]\ndisplay = "degC"'))
+@pytest.mark.parametrize(
+    ("unit", "at_20", "apart"), [("degC", "20.000 degC", "1.5 degC"), ("degF", "68.00 degF", "2.7 degF")]
+)
+def test_a_unit_may_have_another_zero(tmp_path: Path, unit: str, at_20: str, apart: str) -> None:
+    model = load_model(folder(tmp_path, MODEL.replace('"m"', '"K"'), f'schema = 1\n[signal.y]\ndisplay = "{unit}"'))
     shown = units_of(model).of("K", signal="y")
-    assert (shown.text(293.15), shown.difference(1.5)) == ("20.000 degC", "1.5 degC")
+    assert (shown.text(293.15), shown.difference(1.5)) == (at_20, apart)

@@ -65,10 +65,13 @@ EXPECTED = [(0.0, 1000.0, "GOOD"), (0.5, 1500.0, "GOOD"), (1.0, 2000.0, "GOOD")]
         "Zeit;p\n31.12.2025 23:59:59,5;1000\n01.01.2026 00:00:00,0;1500\n1.1.2026 0:00:00,5;2000\n",
         "date,p\n2025/12/31 23:59:59.5,1000\n2026/01/01,1500\n2026/1/1 0:00:00.5,2000\n",
         "t_ms,p\n20,1000\n520,1500\n1020,2000\n",
+        "Datetime,p\n9/6/2017 23:59:59.5,1000\n9/7/2017 0:00:00,1500\n9/7/2017 00:00:00.5,2000\n",
+        "Date,p\n6/9/2017 11:59:59.5 PM,1000\n7/9/2017 12:00:00 AM,1500\n7/9/2017 12:00:00.5 am,2000\n",
+        "Date;p\n31/8/2017 23:59:59,5;1000\n1/9/2017 0:00:00;1500\n1/9/2017 0:00:00,5;2000\n",
     ],
     ids=[
         "plain", "ms", "decimal comma", "units below", "pandas", "quotes", "dates", "epoch", "header again", "clock",
-        "day first", "strokes", "unit in the name",
+        "day first", "strokes", "unit in the name", "month first", "day first with strokes", "a day above 12",
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("name", ["x.csv", "x.log", "x.csv.gz"])
@@ -90,8 +93,8 @@ def test_of_two_columns_of_one_name_none_is_taken(tmp_path: Path) -> None:
 
 
 def test_times_that_are_none_are_named(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"x\.csv: line 3: '12/31/2026' in column 'time' is no time; give seconds, or"):
-        opened(tmp_path, "time,p\n12/30/2026,1\n12/31/2026,2\n")
+    with pytest.raises(LogError, match=r"x\.csv: line 3: '13/31/2026' in column 'time' is no time; give seconds, or"):
+        opened(tmp_path, "time,p\n13/30/2026,1\n13/31/2026,2\n")
 
 
 def test_an_empty_cell_is_silence_and_a_word_is_no_number(tmp_path: Path) -> None:
