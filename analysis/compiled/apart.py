@@ -39,8 +39,15 @@ def kernels_apart(bundle: Bundle, folder: Path, log: Path) -> Kernels:
         with _locked(fcntl.LOCK_SH):
             return kernels_of_bundle(bundle, compiling=False)
     except ToCompileError:
-        pass
-    with _locked(fcntl.LOCK_EX):
+        with _locked(fcntl.LOCK_EX):
+            return _kernels_alone(bundle, folder, log)
+
+
+def _kernels_alone(bundle: Bundle, folder: Path, log: Path) -> Kernels:
+    """Return the functions while no other process loads or compiles any: it may have, in the meantime."""
+    try:
+        return kernels_of_bundle(bundle, compiling=False)
+    except ToCompileError:
         command = [sys.executable, "-m", "faultline.analysis.compiled.apart", str(folder), str(log)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603  our own module
     if done.returncode:  # this process compiles what is missing then
