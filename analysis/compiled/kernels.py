@@ -33,7 +33,7 @@ Function = Callable[..., None]
 
 
 class ToCompileError(NotCompiledError):
-    """It can be compiled, and never was."""
+    """Raised for a graph that can be compiled, never was, and is not to be compiled by this process."""
 
 
 class Kernels(NamedTuple):
@@ -103,7 +103,7 @@ def folder_of_cache() -> Path:
 
 @cache
 def _code() -> bytes:
-    """The compiler's version, and what is compiled with any graph."""
+    """Return the compiler's version and the source that is compiled with any graph."""
     here = Path(__file__).parent
     return b"".join([numba.__version__.encode(), *((here / name).read_bytes() for name in CODE)])
 

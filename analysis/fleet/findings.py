@@ -55,7 +55,7 @@ class Fleet(NamedTuple):
 
     @property
     def past(self) -> list[Finding]:
-        """Those that a later drive with a verdict does not have."""
+        """Return the findings that the vehicle's last drive with a verdict does not have."""
         return [each for each in self.findings if not each.stands]
 
     @property

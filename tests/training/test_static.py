@@ -85,7 +85,7 @@ def test_few_tests_are_as_many_as_the_redundancy_and_reach_every_fault(model: Pa
 
 
 def test_sigma_grows_where_signals_do_not_move_together_any_more(model: Path, networks: Path, tmp_path: Path) -> None:
-    """Where the valve never moved, speed and flow moved together, and what each does alone is not known."""
+    """Speed and flow moved together where the valve never did: what each does alone is not known."""
     tied, free = samples(LOOP, 8, 300, valve=False), samples(LOOP, 8, 300)
 
     def grown(folder: Path, usual: Array) -> Array:

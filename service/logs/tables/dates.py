@@ -1,6 +1,6 @@
 """Dates in the cells of a table.
 
-ISO 8601, 31.1.2026 12:00:00,5, 2026/1/31 12:00:00, and with strokes and the year last 31/1/2026 or 1/31/2026: which of
+ISO 8601, 31.1.2026 12:00:00,5, 2026/1/31 12:00:00, and with slashes and the year last 31/1/2026 or 1/31/2026: which of
 both a table has is seen over all its rows. Without a zone they are UTC. The time of a day alone counts from midnight.
 """
 
@@ -22,7 +22,7 @@ _MONTHS = 12
 def date_s(cell: str, *, month_first: bool = True) -> float | None:
     """Return a date, or the time of a day, in seconds; None where it is neither.
 
-    Of two numbers with a stroke, and the year behind them, the first is the month, or the day.
+    Of two numbers with a slash between them, and the year behind, the first is the month, or the day.
 
     >>> date_s("31.1.1970 9:00:00,5") == date_s("1970/01/31 09:00:00.5") == date_s("1970-01-31T09:00:00.5")
     True

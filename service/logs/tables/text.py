@@ -114,7 +114,7 @@ class TextTable:
 
     @cached_property
     def _month_first(self) -> bool:
-        """Whether the month is first in dates of which one cannot see it; then all rows are looked at."""
+        """Return whether the month is first in dates; where one date does not show it, all rows are read."""
         header = self._header
         if header.period_s:
             return True
@@ -123,7 +123,7 @@ class TextTable:
         return is_month_first(chain([first], dates)) if is_ambiguous(first) else True
 
     def _cells(self) -> Iterator[list[str]]:
-        """The cells of all lines."""
+        """Yield the cells of each line."""
         rest = b""
         for piece in self._source.pieces(LogReport()):
             *lines, rest = (rest + piece).split(b"\n")

@@ -71,7 +71,7 @@ EXPECTED = [(0.0, 1000.0, "GOOD"), (0.5, 1500.0, "GOOD"), (1.0, 2000.0, "GOOD")]
     ],
     ids=[
         "plain", "ms", "decimal comma", "units below", "pandas", "quotes", "dates", "epoch", "header again", "clock",
-        "day first", "strokes", "unit in the name", "month first", "day first with strokes", "a day above 12",
+        "day first", "slashes", "unit in the name", "month first", "day first with slashes", "a day above 12",
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("name", ["x.csv", "x.log", "x.csv.gz"])
